@@ -1,0 +1,167 @@
+"""Microphone arrays: positions in the array frame, validated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.doa.types import FloatArray
+from service.errors import InvalidChannelMap, InvalidGeometry
+
+MIN_MICROPHONES = 2
+MAX_MICROPHONES = 32
+MIN_APERTURE = 0.01  # m; below it the delays vanish in the noise
+MAX_APERTURE = 2.0  # m; above it talkers are in the near field and the unit is suspect
+MIN_SPACING = 1e-4  # m; two microphones cannot stand at one point
+SPEED_OF_SOUND = 343.0  # m/s at 20 degrees Celsius
+
+
+def speed_of_sound(temperature_c: float) -> float:
+    """Speed of sound in air in m/s at a temperature in degrees Celsius (Cramer's linear fit)."""
+    return 331.3 + 0.606 * temperature_c
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MicrophoneArray:
+    """The positions of N microphones, channel n of the mapped audio being microphone n.
+
+    Parameters
+    ----------
+    name : str
+        A preset's name, or ``"custom"``.
+    positions : (N, 3) float64
+        Metres in the array frame (x forward, y left, z up).
+    source : str
+        Where the positions come from.
+
+    Raises
+    ------
+    InvalidGeometry
+        If the positions are not 2 to 32 distinct finite points with an aperture between 1 cm
+        and 2 m.
+    """
+
+    name: str
+    positions: FloatArray
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        positions = np.array(self.positions, dtype=np.float64)
+        validate_positions(positions)
+        positions.setflags(write=False)
+        object.__setattr__(self, "positions", positions)
+
+    @property
+    def num_microphones(self) -> int:
+        return int(self.positions.shape[0])
+
+    @property
+    def aperture(self) -> float:
+        """Largest distance between two microphones in metres."""
+        return float(pairwise_distances(self.positions).max())
+
+    @property
+    def planar(self) -> bool:
+        """True where all microphones lie in one horizontal plane, so elevation has no sign."""
+        return bool(np.ptp(self.positions[:, 2]) < MIN_SPACING)
+
+    @property
+    def linear(self) -> bool:
+        """True where all microphones lie on one line, so front and back cannot be told apart."""
+        centred = self.positions - self.positions.mean(axis=0)
+        return bool(np.linalg.svd(centred, compute_uv=False)[1] < MIN_SPACING)
+
+    def matches(self, other: MicrophoneArray, tolerance: float = 1e-3) -> bool:
+        """True where both hold the same microphones in the same order, up to a translation."""
+        if self.num_microphones != other.num_microphones:
+            return False
+        own = self.positions - self.positions.mean(axis=0)
+        others = other.positions - other.positions.mean(axis=0)
+        return bool(np.abs(own - others).max() <= tolerance)
+
+    def rotated(self, azimuth: float) -> MicrophoneArray:
+        """The array turned counter-clockwise about z by ``azimuth`` radians."""
+        cos, sin = np.cos(azimuth), np.sin(azimuth)
+        rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        return MicrophoneArray(self.name, self.positions @ rotation.T, self.source)
+
+
+def pairwise_distances(positions: FloatArray) -> FloatArray:
+    """Distances between all microphones.
+
+    Parameters
+    ----------
+    positions : (N, 3) float
+
+    Returns
+    -------
+    distances : (N, N) float
+    """
+    distances: FloatArray = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
+    return distances
+
+
+def validate_positions(positions: FloatArray) -> None:
+    """Raise InvalidGeometry unless ``positions`` (N, 3) can be one small array in metres."""
+    if positions.ndim != 2 or positions.shape[1] != 3:
+        raise InvalidGeometry(
+            f"microphone positions must be a list of [x, y, z] in metres, "
+            f"but their shape is {positions.shape}"
+        )
+    count = positions.shape[0]
+    if not MIN_MICROPHONES <= count <= MAX_MICROPHONES:
+        raise InvalidGeometry(
+            f"an array has {MIN_MICROPHONES} to {MAX_MICROPHONES} microphones, but {count} "
+            f"position{'s were' if count != 1 else ' was'} given"
+        )
+    if not np.isfinite(positions).all():
+        raise InvalidGeometry("microphone positions must be finite numbers")
+    distances = pairwise_distances(positions)
+    aperture = distances.max()
+    if aperture > MAX_APERTURE:
+        raise InvalidGeometry(
+            f"the outermost microphones are {aperture:g} m apart (at most {MAX_APERTURE:g} m): "
+            f"{_unit_hint(aperture)}"
+        )
+    first, second = np.unravel_index(
+        np.argmin(distances + np.where(np.eye(count, dtype=bool), np.inf, 0.0)), distances.shape
+    )
+    if distances[first, second] < MIN_SPACING:
+        raise InvalidGeometry(
+            f"microphones {min(first, second)} and {max(first, second)} stand at the same point: "
+            f"give every microphone its own position"
+        )
+    if aperture < MIN_APERTURE:
+        raise InvalidGeometry(
+            f"the outermost microphones are {aperture * 1000:g} mm apart "
+            f"(at least {MIN_APERTURE * 1000:g} mm): {_unit_hint(aperture)}"
+        )
+
+
+def validate_channel_map(channel_map: Sequence[int], num_microphones: int) -> tuple[int, ...]:
+    """Check that the map names one distinct recording channel, from 0, for every microphone."""
+    channels = tuple(int(channel) for channel in channel_map)
+    if len(channels) != num_microphones:
+        raise InvalidChannelMap(
+            f"channel_map names {len(channels)} channels, but the array has "
+            f"{num_microphones} microphones: name one recording channel per microphone"
+        )
+    if len(set(channels)) != len(channels):
+        raise InvalidChannelMap(f"channel_map {list(channels)} names a channel twice")
+    if min(channels) < 0:
+        raise InvalidChannelMap(
+            f"channel_map {list(channels)} has a negative entry: channels count from 0"
+        )
+    return channels
+
+
+def _unit_hint(aperture: float) -> str:
+    if MIN_APERTURE <= aperture / 1000 <= MAX_APERTURE and aperture > 20:
+        return "positions are in metres; these look like millimetres, divide them by 1000"
+    if MIN_APERTURE <= aperture / 100 <= MAX_APERTURE and aperture > MAX_APERTURE:
+        return "positions are in metres; these look like centimetres, divide them by 100"
+    if MIN_APERTURE <= aperture * 1000 <= MAX_APERTURE:
+        return "positions are in metres; these look like kilometres, multiply them by 1000"
+    return "positions are in metres; check their unit"

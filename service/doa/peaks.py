@@ -1,0 +1,72 @@
+"""Peaks of a spatial spectrum on the circle, refined below the grid's step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.doa.types import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Peak:
+    """One local maximum of a spatial spectrum."""
+
+    azimuth: float
+    """Radians in [0, 2 pi)"""
+    height: float
+    """The spectrum's value at the nearest grid angle"""
+
+
+def find_peaks(
+    spectrum: FloatArray, max_peaks: int, *, min_separation: float = np.deg2rad(10.0)
+) -> list[Peak]:
+    """The largest circular local maxima, highest first.
+
+    Parameters
+    ----------
+    spectrum : (A,) float
+        On ``azimuth_grid(A)``; index 0 and A - 1 are neighbours.
+    max_peaks : int
+        How many at most.
+    min_separation : float
+        Radians; of two maxima closer than this only the higher one counts.
+
+    Returns
+    -------
+    peaks : list of Peak
+        Fewer than ``max_peaks`` where the spectrum has fewer maxima; a constant one has none.
+    """
+    left, right = np.roll(spectrum, 1), np.roll(spectrum, -1)
+    # The strict side makes a plateau of two equal samples one maximum instead of none or two.
+    candidates = np.flatnonzero((spectrum > left) & (spectrum >= right))
+    order = candidates[np.argsort(-spectrum[candidates], kind="stable")]
+    step = 2 * np.pi / spectrum.size
+    kept: list[Peak] = []
+    for index in order:
+        if len(kept) == max_peaks:
+            break
+        azimuth = float((index + parabolic_offset(spectrum, int(index))) * step % (2 * np.pi))
+        if all(abs(circular_difference(azimuth, peak.azimuth)) >= min_separation for peak in kept):
+            kept.append(Peak(azimuth, float(spectrum[index])))
+    return kept
+
+
+def parabolic_offset(spectrum: FloatArray, index: int) -> float:
+    """Vertex of the parabola through three circular neighbours, in grid steps from the middle."""
+    size = spectrum.size
+    before, here, after = (
+        float(spectrum[(index - 1) % size]),
+        float(spectrum[index]),
+        float(spectrum[(index + 1) % size]),
+    )
+    curvature = before - 2 * here + after
+    if curvature >= 0:
+        return 0.0
+    return float(np.clip(0.5 * (before - after) / curvature, -0.5, 0.5))
+
+
+def circular_difference(first: float, second: float) -> float:
+    """``first`` - ``second`` in radians, wrapped to [-pi, pi)."""
+    return float((first - second + np.pi) % (2 * np.pi) - np.pi)

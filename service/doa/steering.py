@@ -1,0 +1,62 @@
+"""Steering vectors of far-field sources on an azimuth grid.
+
+Conventions
+-----------
+a_n(f, theta) = exp(+j 2 pi f p_n . u(theta) / c); ||a||^2 = N. Positions are taken relative to
+their centroid: a common phase cancels in every method, and small arguments keep float32 exact.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.doa.array import SPEED_OF_SOUND
+from service.doa.types import ComplexArray, FloatArray
+
+
+def azimuth_grid(num_angles: int = 360) -> FloatArray:
+    """(A,) azimuths in radians, from 0 counter-clockwise, endpoint left out."""
+    return np.arange(num_angles) * (2 * np.pi / num_angles)
+
+
+def unit_vectors(azimuth: FloatArray, elevation: float | FloatArray = 0.0) -> FloatArray:
+    """(..., 3) unit vectors towards directions in radians."""
+    azimuth, elevation = np.broadcast_arrays(azimuth, elevation)
+    horizontal = np.cos(elevation)
+    return np.stack(
+        [horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.sin(elevation)], axis=-1
+    )
+
+
+def steering_vectors(
+    positions: FloatArray,
+    frequencies: FloatArray,
+    azimuth: FloatArray,
+    *,
+    elevation: float | FloatArray = 0.0,
+    speed_of_sound: float = SPEED_OF_SOUND,
+) -> ComplexArray:
+    """Far-field steering vectors.
+
+    Parameters
+    ----------
+    positions : (N, 3) float
+        Metres.
+    frequencies : (F,) float
+        Hertz.
+    azimuth : (A,) float
+        Radians.
+    elevation : float or (A,) float
+        Radians above the x-y plane.
+    speed_of_sound : float
+        Metres per second.
+
+    Returns
+    -------
+    steering : (F, N, A) complex64
+    """
+    centred = positions - positions.mean(axis=0)
+    delays = centred @ unit_vectors(azimuth, elevation).T / speed_of_sound  # (N, A) seconds
+    phase = 2 * np.pi * frequencies[:, None, None] * delays[None]
+    steering: ComplexArray = np.exp(1j * phase).astype(np.complex64)
+    return steering

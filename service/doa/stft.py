@@ -1,0 +1,71 @@
+"""Short-time Fourier transform of multichannel audio.
+
+Conventions
+-----------
+Frame l covers samples [l hop, l hop + n_fft); there is no centring and no padding inside, so a
+frame never looks into the future of the samples that it names. One-sided spectra, F = n_fft/2 + 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy.fft
+
+from service.doa.types import ComplexArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Stft:
+    """Framing, window and transform; the values are part of a model bundle's contract."""
+
+    sample_rate: int = 16000
+    """Hertz"""
+    n_fft: int = 512
+    """Samples per frame and transform length"""
+    hop: int = 256
+    """Samples between frames"""
+
+    @property
+    def num_bins(self) -> int:
+        return self.n_fft // 2 + 1
+
+    @property
+    def frequencies(self) -> FloatArray:
+        """(F,) bin centres in hertz."""
+        return np.arange(self.num_bins) * (self.sample_rate / self.n_fft)
+
+    def num_frames(self, num_samples: int) -> int:
+        """Whole frames in ``num_samples`` samples."""
+        return max(0, 1 + (num_samples - self.n_fft) // self.hop)
+
+    def num_samples(self, num_frames: int) -> int:
+        """Samples that ``num_frames`` frames cover."""
+        return (num_frames - 1) * self.hop + self.n_fft
+
+    def transform(self, audio: FloatArray) -> ComplexArray:
+        """Transform audio into one spectrum per frame.
+
+        Parameters
+        ----------
+        audio : (..., T) float32
+            At least ``n_fft`` samples; a tail shorter than a hop is left out.
+
+        Returns
+        -------
+        spectra : (..., F, L) complex64
+        """
+        frames = np.lib.stride_tricks.sliding_window_view(audio, self.n_fft, axis=-1)
+        windowed = frames[..., :: self.hop, :] * hann(self.n_fft)
+        spectra = scipy.fft.rfft(windowed.astype(np.float32, copy=False), axis=-1)
+        transposed: ComplexArray = np.swapaxes(spectra, -1, -2)
+        return transposed
+
+
+@lru_cache(maxsize=8)
+def hann(length: int) -> FloatArray:
+    """Periodic Hann window, (length,) float32."""
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
+    return window.astype(np.float32)

@@ -1,0 +1,100 @@
+"""Subspaces of the spatial covariance and the MUSIC pseudo-spectrum.
+
+Conventions
+-----------
+Eigenvalues ascend, as LAPACK gives them. The signal subspace Us holds the eigenvectors of the M
+largest eigenvalues and the noise projector is I - Us Us^H. With ||a||^2 = N the MUSIC denominator
+is a^H (I - Us Us^H) a = N - ||Us^H a||^2, so the noise eigenvectors are never needed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.doa.types import ComplexArray, FloatArray
+from service.errors import TooManySources
+
+DENOMINATOR_FLOOR = 1e-6  # of N: float32 cannot tell smaller distances to the subspace from zero
+
+
+def signal_subspace(covariance: ComplexArray, num_sources: int) -> ComplexArray:
+    """Eigenvectors of the ``num_sources`` largest eigenvalues.
+
+    Parameters
+    ----------
+    covariance : (..., N, N) complex64
+        Hermitian.
+    num_sources : int
+        1 to N - 1.
+
+    Returns
+    -------
+    subspace : (..., N, M) complex64
+        Orthonormal columns.
+
+    Raises
+    ------
+    TooManySources
+        If ``num_sources`` is not between 1 and N - 1.
+    """
+    microphones = covariance.shape[-1]
+    if not 1 <= num_sources < microphones:
+        raise TooManySources(
+            f"num_sources is {num_sources}, but {microphones} microphones can tell apart 1 to "
+            f"{microphones - 1} sources"
+        )
+    _, vectors = np.linalg.eigh(covariance)
+    subspace: ComplexArray = vectors[..., -num_sources:]
+    return subspace
+
+
+def noise_projector(subspace: ComplexArray) -> ComplexArray:
+    """I - Us Us^H of (..., N, M) orthonormal columns: (..., N, N) complex64."""
+    projector: ComplexArray = np.eye(
+        subspace.shape[-2], dtype=subspace.dtype
+    ) - subspace @ np.conj(np.swapaxes(subspace, -1, -2))
+    return projector
+
+
+def signal_power(subspace: ComplexArray, steering: ComplexArray) -> FloatArray:
+    """||Us^H a||^2 / N for every steering vector: 1 where a lies in the signal subspace.
+
+    Parameters
+    ----------
+    subspace : (..., F, N, M) complex64
+    steering : (F, N, A) complex64
+
+    Returns
+    -------
+    power : (..., F, A) float32
+        Between 0 and 1.
+    """
+    response = np.conj(np.swapaxes(subspace, -1, -2)) @ steering  # (..., F, M, A)
+    power: FloatArray = np.sum(response.real**2 + response.imag**2, axis=-2)
+    return power / np.float32(steering.shape[-2])
+
+
+def music_spectrum(
+    subspace: ComplexArray, steering: ComplexArray, floor: float = DENOMINATOR_FLOOR
+) -> FloatArray:
+    """MUSIC pseudo-spectrum per frequency bin, 1 / (1 - ||Us^H a||^2 / N + floor).
+
+    Parameters
+    ----------
+    subspace : (..., F, N, M) complex64
+    steering : (F, N, A) complex64
+    floor : float
+        Keeps the spectrum finite where a lies in the signal subspace; a larger one broadens peaks.
+
+    Returns
+    -------
+    spectrum : (..., F, A) float32
+        Scaled by N against the textbook form, so that it does not grow with the array.
+
+    References
+    ----------
+    Schmidt, 1986, Multiple emitter location and signal parameter estimation, eq. (6).
+    """
+    distance = 1.0 - signal_power(subspace, steering)
+    spectrum: FloatArray = 1.0 / (np.maximum(distance, 0.0) + np.float32(floor))
+    return spectrum

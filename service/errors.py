@@ -1,0 +1,219 @@
+"""The one error tree: HTTP problems, command-line messages and their documentation come from it.
+
+DoaError
+├─ ConfigError
+├─ AudioError
+│  ├─ NotAudio · EmptyAudio · TruncatedAudio · NonFiniteAudio
+│  ├─ ChannelMismatch · TooManyChannels · UnsupportedSampleRate · AudioTooLong
+├─ ArrayError
+│  └─ UnknownArray · InvalidGeometry · InvalidChannelMap
+├─ OptionError
+│  └─ UnknownModel · UnknownMethod · InvalidOption · TooManySources · GeometryMismatch
+├─ UploadError
+│  └─ MissingAudio · UploadTooLarge · UnsupportedMediaType
+├─ BundleError
+│  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed
+└─ CapacityError
+   └─ Overloaded
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+
+class DoaError(Exception):
+    """Anything the service can say no to: a stable code, an HTTP status and a sentence."""
+
+    code: ClassVar[str] = "internal"
+    status: ClassVar[int] = 500
+    title: ClassVar[str] = "Internal error"
+    retryable: ClassVar[bool] = False
+
+    def __init__(self, detail: str) -> None:
+        super().__init__(detail)
+        self.detail = detail
+
+
+class ConfigError(DoaError):
+    """A setting is unknown or out of range; the service does not start."""
+
+    code, title = "config_invalid", "Invalid configuration"
+
+
+class AudioError(DoaError):
+    """The recording cannot be used as it is."""
+
+    code, status, title = "audio_invalid", 422, "Unusable audio"
+
+
+class NotAudio(AudioError):
+    """The bytes are no audio file that libsndfile reads."""
+
+    code, status, title = "not_audio", 415, "Not an audio file"
+
+
+class EmptyAudio(AudioError):
+    """The file holds no sample frames."""
+
+    code, title = "audio_empty", "Empty recording"
+
+
+class TruncatedAudio(AudioError):
+    """The header promises more audio than the file holds."""
+
+    code, title = "audio_truncated", "Truncated recording"
+
+
+class NonFiniteAudio(AudioError):
+    """Samples are NaN or infinite."""
+
+    code, title = "audio_non_finite", "Non-finite samples"
+
+
+class ChannelMismatch(AudioError):
+    """The recording's channels do not fit the array or the channel map."""
+
+    code, title = "channel_mismatch", "Channels do not fit the array"
+
+
+class TooManyChannels(AudioError):
+    """The recording has more channels than the service accepts."""
+
+    code, title = "too_many_channels", "Too many channels"
+
+
+class UnsupportedSampleRate(AudioError):
+    """The sample rate is outside of what can be localized."""
+
+    code, title = "sample_rate_unsupported", "Unsupported sample rate"
+
+
+class AudioTooLong(AudioError):
+    """The recording is longer than the service accepts."""
+
+    code, status, title = "audio_too_long", 413, "Recording too long"
+
+
+class ArrayError(DoaError):
+    """The microphone array is unknown or makes no sense."""
+
+    code, status, title = "array_invalid", 422, "Invalid microphone array"
+
+
+class UnknownArray(ArrayError):
+    """No preset has this name."""
+
+    code, title = "array_unknown", "Unknown array"
+
+
+class InvalidGeometry(ArrayError):
+    """The microphone positions cannot be those of one small array in metres."""
+
+    code, title = "geometry_invalid", "Invalid array geometry"
+
+
+class InvalidChannelMap(ArrayError):
+    """The channel map does not name one distinct channel per microphone."""
+
+    code, title = "channel_map_invalid", "Invalid channel map"
+
+
+class OptionError(DoaError):
+    """An option of the request is wrong."""
+
+    code, status, title = "option_invalid", 422, "Invalid option"
+
+
+class InvalidOption(OptionError):
+    """An option is unknown, unreadable or out of range."""
+
+
+class UnknownModel(OptionError):
+    """No loaded bundle has this name."""
+
+    code, title = "model_unknown", "Unknown model"
+
+
+class UnknownMethod(OptionError):
+    """No localization method has this name."""
+
+    code, title = "method_unknown", "Unknown method"
+
+
+class TooManySources(OptionError):
+    """More sources are asked for than the array can tell apart."""
+
+    code, title = "too_many_sources", "Too many sources for the array"
+
+
+class GeometryMismatch(OptionError):
+    """The named bundle is bound to another array."""
+
+    code, title = "geometry_mismatch", "The model is bound to another array"
+
+
+class UploadError(DoaError):
+    """The request's body cannot be taken."""
+
+    code, status, title = "upload_invalid", 400, "Invalid upload"
+
+
+class MissingAudio(UploadError):
+    """The request holds no recording."""
+
+    code, status, title = "audio_missing", 422, "No recording in the request"
+
+
+class UploadTooLarge(UploadError):
+    """The body is larger than the service accepts."""
+
+    code, status, title = "upload_too_large", 413, "Upload too large"
+
+
+class UnsupportedMediaType(UploadError):
+    """The body's content type is neither a form nor audio."""
+
+    code, status, title = "media_type_unsupported", 415, "Unsupported media type"
+
+
+class BundleError(DoaError):
+    """A model bundle cannot be used."""
+
+    code, title = "bundle_invalid", "Unusable model bundle"
+
+
+class BundleNotFound(BundleError):
+    """There is no bundle at that place."""
+
+    code, title = "bundle_not_found", "Model bundle not found"
+
+
+class BundleCorrupt(BundleError):
+    """A file of the bundle is missing or its hash differs from the manifest's."""
+
+    code, title = "bundle_corrupt", "Corrupt model bundle"
+
+
+class BundleIncompatible(BundleError):
+    """The bundle was written for another version of this service."""
+
+    code, title = "bundle_incompatible", "Incompatible model bundle"
+
+
+class SelfTestFailed(BundleError):
+    """The bundle's golden input does not give the golden output on this machine."""
+
+    code, title = "self_test_failed", "Model self-test failed"
+
+
+class CapacityError(DoaError):
+    """The service is full; the same request may pass later."""
+
+    code, status, title, retryable = "capacity", 503, "Out of capacity", True
+
+
+class Overloaded(CapacityError):
+    """Every worker is busy and the queue is full."""
+
+    code, title = "overloaded", "Overloaded"
