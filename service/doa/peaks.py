@@ -54,15 +54,16 @@ def find_peaks(
 
 
 def parabolic_offset(spectrum: FloatArray, index: int) -> float:
-    """Vertex of the parabola through three circular neighbours, in grid steps from the middle."""
+    """Vertex of the parabola through three circular neighbours, in grid steps from the middle.
+
+    The parabola is laid through the reciprocals: near a source the MUSIC denominator is quadratic
+    in the angle, so its reciprocal's vertex is exact where the spectrum's own would be biased.
+    """
     size = spectrum.size
-    before, here, after = (
-        float(spectrum[(index - 1) % size]),
-        float(spectrum[index]),
-        float(spectrum[(index + 1) % size]),
-    )
+    window = spectrum[[(index - 1) % size, index, (index + 1) % size]].astype(np.float64)
+    before, here, after = 1 / window if window.min() > 0 else -window
     curvature = before - 2 * here + after
-    if curvature >= 0:
+    if not curvature > 0:
         return 0.0
     return float(np.clip(0.5 * (before - after) / curvature, -0.5, 0.5))
 

@@ -50,9 +50,9 @@ def signal_subspace(covariance: ComplexArray, num_sources: int) -> ComplexArray:
 
 def noise_projector(subspace: ComplexArray) -> ComplexArray:
     """I - Us Us^H of (..., N, M) orthonormal columns: (..., N, N) complex64."""
-    projector: ComplexArray = np.eye(
-        subspace.shape[-2], dtype=subspace.dtype
-    ) - subspace @ np.conj(np.swapaxes(subspace, -1, -2))
+    projector: ComplexArray = np.eye(subspace.shape[-2], dtype=subspace.dtype) - subspace @ np.conj(
+        np.swapaxes(subspace, -1, -2)
+    )
     return projector
 
 

@@ -1,0 +1,1 @@
+"""Simulation, training, evaluation and ONNX export of the networks; torch lives only here."""

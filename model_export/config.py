@@ -1,0 +1,76 @@
+"""Every training run as a frozen dataclass, by name."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal
+
+from model_export.scenes import SceneConfig
+
+Variant = Literal["weights", "regression"]
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingConfig:
+    """One supervised training run."""
+
+    name: str
+    variant: Variant
+    steps: int
+    """Optimizer steps"""
+    batch_size: int = 16
+    """Scenes per step"""
+    learning_rate: float = 2e-3
+    """At the start; it falls to a hundredth along a cosine"""
+    weight_decay: float = 1e-4
+    grid_size: int = 120
+    """Angles of the training grid; its offset is drawn anew for every batch"""
+    target_sigma_deg: float = 6.0
+    """Width of the target's wrapped Gaussians in degrees"""
+    count_weight: float = 0.0
+    """Lambda of the source-count cross entropy (the paper's 0.5)"""
+    array: str | None = None
+    """Preset that the run is bound to; None draws random arrays from the room bank"""
+    scenes: SceneConfig = field(default_factory=SceneConfig)
+    batches_per_chunk: int = 6
+    """Batches drawn from one chunk of rooms before the next is loaded"""
+    checkpoint_every: int = 250
+    """Steps between checkpoints, curves and validation"""
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if self.steps < 1 or self.batch_size < 1:
+            raise ValueError("steps and batch_size must be positive")
+        if self.variant == "regression" and self.array is None:
+            raise ValueError("the regression variant is bound to one array: name its preset")
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+ANY_ARRAY = TrainingConfig(
+    name="any-array",
+    variant="weights",
+    steps=8000,
+    scenes=SceneConfig(source_counts=(0.0, 0.6, 0.3, 0.1)),
+)
+
+PAPER = TrainingConfig(
+    name="paper",
+    variant="regression",
+    steps=40000,
+    batch_size=32,
+    learning_rate=1e-3,
+    grid_size=360,
+    target_sigma_deg=5.0,
+    count_weight=0.5,
+    array="respeaker-usb-4mic-v2",
+    scenes=SceneConfig(source_counts=(0.05, 0.5, 0.35, 0.10), snr_db=(0.0, 35.0)),
+)
+
+CONFIGS = {config.name: config for config in (ANY_ARRAY, PAPER)}
+
+
+def smoke(config: TrainingConfig) -> TrainingConfig:
+    """The same run cut to a few steps, for tests and for trying an installation."""
+    return replace(config, steps=4, batch_size=4, checkpoint_every=2, batches_per_chunk=2)

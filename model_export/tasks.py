@@ -1,0 +1,110 @@
+"""What a variant must offer to be trained: a model, batches from scenes, losses and scores."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+import torch
+from service.doa.features import coherence_features
+from service.doa.steering import unit_vectors
+from service.doa.stft import Stft
+from service.doa.types import FloatArray
+from torch import Tensor, nn
+
+from model_export.config import TrainingConfig
+from model_export.scenes import Scene
+from model_export.targets import spectrum_cross_entropy, target_spectrum
+from model_export.weights import WeightsPipeline
+
+Batch = dict[str, Tensor]
+MAX_SOURCES = 4
+SPEED_OF_SOUND = 343.0
+STFT = Stft()
+
+
+class Task(Protocol):
+    """One variant under training."""
+
+    model: nn.Module
+
+    def prepare_chunk(self, chunk: dict[str, FloatArray]) -> dict[str, FloatArray]: ...
+
+    def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch: ...
+
+    def losses(self, batch: Batch) -> dict[str, Tensor]: ...
+
+    def scores(self, batch: Batch) -> dict[str, float]: ...
+
+
+def task_of(config: TrainingConfig) -> Task:
+    """The task of a configuration, with a freshly initialised model."""
+    if config.variant == "weights":
+        return WeightsTask(config)
+    raise ValueError(f"no task for the variant {config.variant!r}")
+
+
+class WeightsTask:
+    """Any array, any room: cross entropy on the fused spectrum."""
+
+    def __init__(self, config: TrainingConfig) -> None:
+        self.config = config
+        self.model = WeightsPipeline()
+
+    def prepare_chunk(self, chunk: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        return chunk
+
+    def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch:
+        spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))[:, :, 1:]
+        offset = rng.uniform(0, 2 * np.pi / self.config.grid_size)
+        grid = offset + np.arange(self.config.grid_size) * (2 * np.pi / self.config.grid_size)
+        positions = np.stack([scene.positions for scene in scenes])
+        positions = positions - positions.mean(axis=1, keepdims=True)
+        delays = positions @ unit_vectors(grid).T / SPEED_OF_SOUND  # (B, N, A)
+        return {
+            "features": torch.from_numpy(coherence_features(spectra)),
+            "spectra": torch.from_numpy(spectra),
+            "delays": torch.from_numpy(delays.astype(np.float32)),
+            "grid": torch.from_numpy(grid.astype(np.float32)),
+            **padded_azimuths(scenes),
+        }
+
+    def losses(self, batch: Batch) -> dict[str, Tensor]:
+        steering = torch_steering(batch["delays"], STFT.frequencies[1:])
+        result = self.model(batch["features"], batch["spectra"], steering)
+        sigma = float(np.deg2rad(self.config.target_sigma_deg))
+        target = target_spectrum(batch["azimuth"], batch["mask"], batch["grid"], sigma)
+        return {"loss": spectrum_cross_entropy(result.fused, target, result.sharpness)}
+
+    def scores(self, batch: Batch) -> dict[str, float]:
+        steering = torch_steering(batch["delays"], STFT.frequencies[1:])
+        fused = self.model(batch["features"], batch["spectra"], steering).fused
+        return {"peak_error_deg": nearest_peak_error(fused, batch)}
+
+
+def padded_azimuths(scenes: Sequence[Scene]) -> Batch:
+    """``azimuth`` (B, 4) radians and ``mask`` (B, 4) of which entries are sources."""
+    azimuth = torch.zeros(len(scenes), MAX_SOURCES)
+    mask = torch.zeros(len(scenes), MAX_SOURCES, dtype=torch.bool)
+    for index, scene in enumerate(scenes):
+        count = len(scene.azimuth)
+        azimuth[index, :count] = torch.from_numpy(np.asarray(scene.azimuth, dtype=np.float32))
+        mask[index, :count] = True
+    return {"azimuth": azimuth, "mask": mask}
+
+
+def torch_steering(delays: Tensor, frequencies: FloatArray) -> Tensor:
+    """Steering vectors (B, F, N, A) complex64 from delays (B, N, A) in seconds."""
+    omega = torch.from_numpy(2 * np.pi * frequencies).float()
+    phase = omega[None, :, None, None] * delays[:, None]
+    return torch.complex(torch.cos(phase), torch.sin(phase))
+
+
+def nearest_peak_error(fused: Tensor, batch: Batch) -> float:
+    """Median distance in degrees from the highest peak to the nearest source."""
+    best = batch["grid"][fused.argmax(-1)]
+    gaps = torch.remainder(batch["azimuth"] - best[:, None] + torch.pi, 2 * torch.pi) - torch.pi
+    errors = gaps.abs().masked_fill(~batch["mask"], torch.inf).amin(-1)
+    finite = errors[torch.isfinite(errors)]
+    return float(torch.rad2deg(finite.median())) if len(finite) else 0.0

@@ -1,0 +1,210 @@
+"""Supervised training: resumable, with curves in CSV, the configuration and the seed on disk.
+
+A run folder holds ``config.json``, ``curves.csv`` and ``checkpoint.pt``; starting the same run again
+continues at the last checkpoint.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from service.doa.types import FloatArray
+from torch.utils.data import DataLoader, IterableDataset
+
+from model_export.config import TrainingConfig
+from model_export.scenes import RoomBank, draw_scene
+from model_export.tasks import Batch, Task, task_of
+
+VALIDATION_BATCHES = 8
+
+
+class SceneStream(IterableDataset[Batch]):
+    """An endless stream of simulated batches; the seed and the step decide every one."""
+
+    def __init__(
+        self,
+        config: TrainingConfig,
+        bank: RoomBank,
+        speech: Sequence[FloatArray],
+        *,
+        first_step: int = 0,
+    ) -> None:
+        self.config, self.bank, self.speech = config, bank, speech
+        self.first_step = first_step
+
+    def __iter__(self) -> Iterator[Batch]:
+        info = torch.utils.data.get_worker_info()
+        worker = info.id if info else 0
+        rng = np.random.default_rng([self.config.seed, self.first_step, worker])
+        task = task_of(self.config)
+        while True:
+            chunk = task.prepare_chunk(self.bank.chunk(rng))
+            for _ in range(self.config.batches_per_chunk):
+                scenes = [
+                    draw_scene(rng, chunk, self.speech, self.config.scenes)
+                    for _ in range(self.config.batch_size)
+                ]
+                yield task.collate(rng, scenes)
+
+
+def train(
+    config: TrainingConfig,
+    run: Path,
+    bank: Path,
+    speech: Sequence[FloatArray],
+    validation_speech: Sequence[FloatArray],
+    *,
+    workers: int = 1,
+) -> Task:
+    """Train until ``config.steps``, continuing from the run folder's checkpoint if there is one.
+
+    Returns
+    -------
+    task : Task
+        With the trained model in evaluation mode.
+    """
+    run.mkdir(parents=True, exist_ok=True)
+    torch.manual_seed(config.seed)
+    task = task_of(config)
+    optimizer = torch.optim.AdamW(
+        task.model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+    )
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, _cosine(config.steps))
+    step = _resume(run, config, task, optimizer, schedule)
+    if step >= config.steps:
+        task.model.eval()
+        return task
+    stream = SceneStream(config, RoomBank(bank), speech, first_step=step)
+    loader = iter(DataLoader(stream, batch_size=None, num_workers=workers, prefetch_factor=4))
+    validation = _validation_batches(config, bank, validation_speech)
+    running: dict[str, float] = {}
+    with _progress(config, step) as (progress, bar):
+        while step < config.steps:
+            losses = _optimize(task, next(loader), optimizer, schedule)
+            for name, value in losses.items():
+                running[name] = 0.98 * running.get(name, value) + 0.02 * value
+            step += 1
+            progress.update(bar, completed=step, loss=running["loss"])
+            if step % config.checkpoint_every == 0 or step == config.steps:
+                scores = _validate(task, validation)
+                _write_curves(run, step, running, scores)
+                _checkpoint(run, step, task, optimizer, schedule)
+    task.model.eval()
+    return task
+
+
+def _optimize(
+    task: Task,
+    batch: Batch,
+    optimizer: torch.optim.Optimizer,
+    schedule: torch.optim.lr_scheduler.LRScheduler,
+) -> dict[str, float]:
+    task.model.train()
+    losses = task.losses(batch)
+    optimizer.zero_grad(set_to_none=True)
+    losses["loss"].backward()
+    torch.nn.utils.clip_grad_norm_(task.model.parameters(), 1.0)
+    optimizer.step()
+    schedule.step()
+    return {name: float(value.detach()) for name, value in losses.items()}
+
+
+def _validate(task: Task, batches: Sequence[Batch]) -> dict[str, float]:
+    task.model.eval()
+    with torch.no_grad():
+        per_batch = [task.scores(batch) for batch in batches]
+    return {key: float(np.mean([scores[key] for scores in per_batch])) for key in per_batch[0]}
+
+
+def _validation_batches(
+    config: TrainingConfig, bank: Path, speech: Sequence[FloatArray]
+) -> list[Batch]:
+    try:
+        rooms = RoomBank(bank, validation=True)
+    except FileNotFoundError:  # a bank of under twenty chunks has no validation rooms
+        rooms = RoomBank(bank)
+    stream = iter(SceneStream(config, rooms, speech, first_step=10**6))
+    return [next(stream) for _ in range(VALIDATION_BATCHES)]
+
+
+def _cosine(steps: int) -> Any:
+    def factor(step: int) -> float:
+        warm_up = min(1.0, (step + 1) / 200)
+        return warm_up * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(1.0, step / steps))))
+
+    return factor
+
+
+def _resume(run: Path, config: TrainingConfig, task: Task, optimizer: Any, schedule: Any) -> int:
+    settings = json.loads(json.dumps(config.as_dict()))
+    described = run / "config.json"
+    if described.exists() and json.loads(described.read_text()) != settings:
+        raise ValueError(f"{run} holds a run with other settings: name another folder")
+    described.write_text(json.dumps(settings, indent=2) + "\n")
+    path = run / "checkpoint.pt"
+    if not path.exists():
+        return 0
+    state = torch.load(path, weights_only=True)
+    task.model.load_state_dict(state["model"])
+    optimizer.load_state_dict(state["optimizer"])
+    schedule.load_state_dict(state["schedule"])
+    return int(state["step"])
+
+
+def _checkpoint(run: Path, step: int, task: Task, optimizer: Any, schedule: Any) -> None:
+    unfinished = run / "checkpoint.part"
+    state = {
+        "step": step,
+        "model": task.model.state_dict(),
+        "optimizer": optimizer.state_dict(),
+        "schedule": schedule.state_dict(),
+    }
+    torch.save(state, unfinished)
+    unfinished.rename(run / "checkpoint.pt")
+
+
+def _write_curves(
+    run: Path, step: int, running: dict[str, float], scores: dict[str, float]
+) -> None:
+    row: dict[str, Any] = {"step": step, "time": round(time.time())}
+    row |= {name: f"{value:.5g}" for name, value in (running | scores).items()}
+    path = run / "curves.csv"
+    fresh = not path.exists()
+    with path.open("a", newline="") as file:
+        writer = csv.DictWriter(file, list(row))
+        if fresh:
+            writer.writeheader()
+        writer.writerow(row)
+
+
+class _progress:
+    """A progress bar with the running loss."""
+
+    def __init__(self, config: TrainingConfig, step: int) -> None:
+        self.progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.completed}/{task.total} loss {task.fields[loss]:.4f}"),
+            TimeRemainingColumn(),
+        )
+        self.bar = self.progress.add_task(
+            config.name, total=config.steps, completed=step, loss=math.nan
+        )
+
+    def __enter__(self) -> tuple[Progress, Any]:
+        self.progress.start()
+        return self.progress, self.bar
+
+    def __exit__(self, *_: object) -> None:
+        self.progress.stop()
+
+

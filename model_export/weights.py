@@ -1,0 +1,121 @@
+"""The `weights` variant: time-frequency weights from array-independent features.
+
+The network sees no geometry. What it gives, a weight and an attention per time-frequency cell,
+forms covariances of any array outside of it; EVD, MUSIC and fusion follow as in the paper.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from service.doa.features import NUM_FEATURES
+from torch import Tensor, nn
+
+from model_export.subspace import dominance, pair_products, signal_power, signal_projector
+
+FREQUENCY_STRIDE = 4
+BLOCK_FRAMES = 8
+
+
+class WeightsNetwork(nn.Module):
+    """Four convolutions without pooling in time: features to weights and attentions.
+
+    Input (B, 4, F, L), F a multiple of 4; output weights and attentions, each (B, F, L), in (0, 1)
+    and (0, inf). The receptive field is 9 frames.
+    """
+
+    def __init__(self, channels: tuple[int, int, int, int] = (24, 32, 40, 32)) -> None:
+        super().__init__()
+        one, two, three, four = channels
+
+        def block(inputs: int, outputs: int, height: int, stride: int) -> nn.Sequential:
+            return nn.Sequential(
+                nn.Conv2d(
+                    inputs,
+                    outputs,
+                    (height, 3),
+                    stride=(stride, 1),
+                    padding=(height // 2, 1),
+                    bias=False,
+                ),
+                nn.BatchNorm2d(outputs),
+                nn.ReLU(),
+            )
+
+        self.blocks = nn.Sequential(
+            block(NUM_FEATURES + 1, one, 5, 2),  # (B, 24, F/2, L)
+            block(one, two, 5, 2),  # (B, 32, F/4, L)
+            block(two, three, 3, 1),
+            block(three, four, 3, 1),
+        )
+        self.head = nn.Conv2d(four, 2 * FREQUENCY_STRIDE, 1)
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        batch, _, bins, frames = features.shape
+        # Where a bin lies decides how much an array can hear there; the convolutions cannot tell.
+        height = torch.linspace(-1, 1, bins, device=features.device, dtype=features.dtype)
+        height = height.reshape(1, 1, bins, 1).expand(batch, 1, bins, frames)
+        hidden = self.head(self.blocks(torch.cat([features, height], 1)))  # (B, 8, F/4, L)
+        cells = hidden.reshape(batch, 2, FREQUENCY_STRIDE, bins // FREQUENCY_STRIDE, frames)
+        cells = cells.transpose(2, 3).reshape(batch, 2, bins, frames)
+        return torch.sigmoid(cells[:, 0]), F.softplus(cells[:, 1])
+
+
+@dataclass(frozen=True, slots=True)
+class FusedSpectrum:
+    """What the differentiable pipeline gives."""
+
+    fused: Tensor
+    """(B, A) in (0, 1)"""
+    sharpness: Tensor
+    """Scalar, the softmax's factor"""
+
+
+class WeightsPipeline(nn.Module):
+    """Weights network, block covariances, rank-one MUSIC and fusion over frequency and time."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.network = WeightsNetwork()
+        self.log_floor = nn.Parameter(torch.tensor(-3.2))
+        """MUSIC's floor, about 0.04: the width of the peaks"""
+        self.log_dominance_power = nn.Parameter(torch.tensor(0.0))
+        """Exponent of the dominance in the attention"""
+        self.log_sharpness = nn.Parameter(torch.tensor(2.64))
+
+    def forward(self, features: Tensor, spectra: Tensor, steering: Tensor) -> FusedSpectrum:
+        """Fused spectrum of every scene.
+
+        Parameters
+        ----------
+        features : (B, 4, F, L) real
+        spectra : (B, N, F, L) complex
+        steering : (B, F, N, A) complex
+        """
+        weights, attention = self.network(features)
+        covariance = block_covariances(spectra, weights)  # (B, F, K, N, N)
+        projector = signal_projector(covariance, 1)
+        power = signal_power(projector, pair_products(steering))  # (B, F, K, A)
+        spectrum = 1 / (1 - power.clamp(max=1) + self.log_floor.exp())
+        spectrum = spectrum / spectrum.amax(-1, keepdim=True)
+        blocks = attention.unflatten(-1, (-1, BLOCK_FRAMES)).mean(-1)  # (B, F, K)
+        quality = dominance(covariance, projector).clamp(1e-4, 1)
+        blocks = blocks * quality ** self.log_dominance_power.exp()
+        total = blocks.sum((1, 2)).clamp(min=1e-6)
+        fused = torch.einsum("bfk,bfka->ba", blocks, spectrum**2) / total[:, None]
+        return FusedSpectrum(fused, self.log_sharpness.exp())
+
+
+def block_covariances(spectra: Tensor, weights: Tensor) -> Tensor:
+    """Weighted covariances of blocks of 8 frames, as ``service.doa.covariance`` forms them.
+
+    ``spectra`` (B, N, F, L) complex and ``weights`` (B, F, L) give (B, F, L / 8, N, N) complex.
+    """
+    power = (spectra.real**2 + spectra.imag**2).sum(1).clamp(min=1e-30)  # (B, F, L)
+    scaled = spectra * (weights / power).sqrt()[:, None]
+    blocks = scaled.permute(0, 2, 3, 1).unflatten(2, (-1, BLOCK_FRAMES))  # (B, F, K, 8, N)
+    covariance = blocks.transpose(-1, -2) @ blocks.conj()
+    loading = 1e-6 * torch.eye(covariance.shape[-1], dtype=covariance.dtype)
+    return covariance + loading

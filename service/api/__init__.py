@@ -1,0 +1,1 @@
+"""HTTP endpoints: they translate the wire to the core and back and hold no numerics."""

@@ -1,0 +1,44 @@
+"""Array-independent features of a multichannel spectrogram, the weights network's input.
+
+Nothing in them depends on the number, the order or the places of the microphones: a level, its
+onset, and how far the channel vector keeps its direction from frame to frame, which it does while
+one source's direct sound dominates a bin.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.doa.types import ComplexArray, FloatArray
+
+NUM_FEATURES = 4
+LEVEL_FLOOR = 1e-5  # of the window's mean power, 50 dB down: quieter cells look alike
+LEVEL_SCALE = 0.25  # brings the natural logarithm of power to unit spread
+
+
+def coherence_features(spectra: ComplexArray) -> FloatArray:
+    """Level, onset and inter-frame coherences of every time-frequency cell.
+
+    Parameters
+    ----------
+    spectra : (..., N, F, L) complex64
+
+    Returns
+    -------
+    features : (..., 4, F, L) float32
+        Log power of the channel vector relative to the window's mean, its difference to the frame
+        before, and |x_t^H x_(t-1)| and |x_t^H x_(t-2)| of vectors of unit norm. Cells without a
+        predecessor hold zeros.
+    """
+    power = np.sum(spectra.real**2 + spectra.imag**2, axis=-3)  # (..., F, L)
+    tiny = np.finfo(np.float32).tiny
+    mean = np.maximum(power.mean(axis=(-2, -1), keepdims=True), tiny)
+    level = np.float32(LEVEL_SCALE) * np.log(power / mean + np.float32(LEVEL_FLOOR))
+    unit = spectra / np.sqrt(np.maximum(power, tiny))[..., None, :, :]
+    features = np.zeros((*power.shape[:-2], NUM_FEATURES, *power.shape[-2:]), dtype=np.float32)
+    features[..., 0, :, :] = level
+    features[..., 1, :, 1:] = np.diff(level, axis=-1)
+    for lag in (1, 2):
+        product = unit[..., lag:] * np.conj(unit[..., :-lag])
+        features[..., 1 + lag, :, lag:] = np.abs(product.sum(axis=-3))
+    return features

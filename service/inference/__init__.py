@@ -1,0 +1,1 @@
+"""Model bundles, onnxruntime, and localizers that turn windows of audio into directions."""
