@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 import pyroomacoustics as pra
 from rich.progress import track
-from service.doa.array import SPEED_OF_SOUND, MicrophoneArray
-from service.doa.steering import unit_vectors
-from service.doa.types import FloatArray
 
 from model_export.arrays import random_array
+from service.doa.array import SPEED_OF_SOUND
+from service.doa.steering import unit_vectors
+from service.doa.types import FloatArray
 
 SAMPLE_RATE = 16000
 RESPONSE_SAMPLES = 8000
@@ -29,6 +29,7 @@ MAX_ORDER = 45
 CHUNK_ROOMS = 32
 SOURCES_PER_ROOM = 4
 NOISE_SAMPLES = 16640
+CHUNK_KEYS = ("responses", "positions", "azimuth", "elevation", "distance", "diffuse", "room")
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,9 +178,7 @@ def simulate_chunk(seed: int) -> dict[str, FloatArray]:
     """
     rng = np.random.default_rng([seed, 20260])
     microphones = int(rng.choice([3, 4, 4, 4, 5, 6, 6, 7, 8]))
-    chunk: dict[str, list[FloatArray]] = {
-        key: [] for key in ("responses positions azimuth elevation distance diffuse room".split())
-    }
+    chunk: dict[str, list[FloatArray]] = {key: [] for key in CHUNK_KEYS}
     for _ in range(CHUNK_ROOMS):
         array = random_array(rng, microphones)
         room = random_room(rng)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy.fft
+
 from service.doa.types import FloatArray
 
 SAMPLE_RATE = 16000
@@ -96,9 +97,7 @@ def draw_scene(
     return Scene(audio, positions, chunk["azimuth"][room, chosen], snr_db)
 
 
-def dry_speech(
-    rng: np.random.Generator, speech: Sequence[FloatArray], start: int
-) -> FloatArray:
+def dry_speech(rng: np.random.Generator, speech: Sequence[FloatArray], start: int) -> FloatArray:
     """(DRY_SAMPLES,) float32 of one talker who speaks inside the window that begins at ``start``.
 
     Half the scenes hold continuous speech, so that the window opens in the middle of a
@@ -172,9 +171,7 @@ def _colour(rng: np.random.Generator, noise: FloatArray) -> FloatArray:
     return coloured
 
 
-def _imperfections(
-    rng: np.random.Generator, audio: FloatArray, config: SceneConfig
-) -> FloatArray:
+def _imperfections(rng: np.random.Generator, audio: FloatArray, config: SceneConfig) -> FloatArray:
     """Unequal gains, crosstalk between neighbouring channels, a band limit."""
     microphones = audio.shape[0]
     gains = 10 ** (rng.normal(scale=config.gain_mismatch_db, size=(microphones, 1)) / 20)

@@ -86,6 +86,26 @@ def pair_products(steering: Tensor) -> Tensor:
     return torch.cat([steering.abs() ** 2, cross.real, -cross.imag], dim=-2)
 
 
+def delay_products(delays: Tensor, frequencies: Tensor) -> Tensor:
+    """``pair_products`` of far-field steering vectors straight from their delays.
+
+    Parameters
+    ----------
+    delays : (B, N, A) seconds
+    frequencies : (F,) hertz
+
+    Returns
+    -------
+    products : (B, F, N^2, A) real
+    """
+    microphones = delays.shape[-2]
+    first, second = torch.triu_indices(microphones, microphones, 1)
+    difference = delays[:, second] - delays[:, first]  # (B, pairs, A)
+    phase = 2 * torch.pi * frequencies[:, None, None] * difference[:, None]
+    powers = torch.ones_like(phase[:, :, :1]).expand(-1, -1, microphones, -1)
+    return torch.cat([powers, 2 * torch.cos(phase), -2 * torch.sin(phase)], dim=-2)
+
+
 def hermitian_rows(matrix: Tensor) -> Tensor:
     """The N^2 real numbers of a Hermitian (..., N, N) in ``pair_products``' order."""
     first, second = torch.triu_indices(matrix.shape[-1], matrix.shape[-1], 1)

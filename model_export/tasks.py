@@ -7,20 +7,21 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from service.doa.features import coherence_features
-from service.doa.steering import unit_vectors
-from service.doa.stft import Stft
-from service.doa.types import FloatArray
 from torch import Tensor, nn
 
 from model_export.config import TrainingConfig
 from model_export.scenes import Scene
+from model_export.subspace import delay_products
 from model_export.targets import spectrum_cross_entropy, target_spectrum
-from model_export.weights import WeightsPipeline
+from model_export.weights import FusedSpectrum, WeightsPipeline
+from service.doa.array import SPEED_OF_SOUND
+from service.doa.features import coherence_features
+from service.doa.steering import unit_vectors
+from service.doa.stft import Stft
+from service.doa.types import FloatArray
 
 Batch = dict[str, Tensor]
 MAX_SOURCES = 4
-SPEED_OF_SOUND = 343.0
 STFT = Stft()
 
 
@@ -71,16 +72,18 @@ class WeightsTask:
         }
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
-        steering = torch_steering(batch["delays"], STFT.frequencies[1:])
-        result = self.model(batch["features"], batch["spectra"], steering)
+        result = self._run(batch)
         sigma = float(np.deg2rad(self.config.target_sigma_deg))
         target = target_spectrum(batch["azimuth"], batch["mask"], batch["grid"], sigma)
         return {"loss": spectrum_cross_entropy(result.fused, target, result.sharpness)}
 
     def scores(self, batch: Batch) -> dict[str, float]:
-        steering = torch_steering(batch["delays"], STFT.frequencies[1:])
-        fused = self.model(batch["features"], batch["spectra"], steering).fused
-        return {"peak_error_deg": nearest_peak_error(fused, batch)}
+        return {"peak_error_deg": nearest_peak_error(self._run(batch).fused, batch)}
+
+    def _run(self, batch: Batch) -> FusedSpectrum:
+        products = delay_products(batch["delays"], torch.from_numpy(STFT.frequencies[1:]).float())
+        result: FusedSpectrum = self.model(batch["features"], batch["spectra"], products)
+        return result
 
 
 def padded_azimuths(scenes: Sequence[Scene]) -> Batch:
@@ -92,13 +95,6 @@ def padded_azimuths(scenes: Sequence[Scene]) -> Batch:
         azimuth[index, :count] = torch.from_numpy(np.asarray(scene.azimuth, dtype=np.float32))
         mask[index, :count] = True
     return {"azimuth": azimuth, "mask": mask}
-
-
-def torch_steering(delays: Tensor, frequencies: FloatArray) -> Tensor:
-    """Steering vectors (B, F, N, A) complex64 from delays (B, N, A) in seconds."""
-    omega = torch.from_numpy(2 * np.pi * frequencies).float()
-    phase = omega[None, :, None, None] * delays[:, None]
-    return torch.complex(torch.cos(phase), torch.sin(phase))
 
 
 def nearest_peak_error(fused: Tensor, batch: Batch) -> float:

@@ -1,7 +1,7 @@
 """Supervised training: resumable, with curves in CSV, the configuration and the seed on disk.
 
-A run folder holds ``config.json``, ``curves.csv`` and ``checkpoint.pt``; starting the same run again
-continues at the last checkpoint.
+A run folder holds ``config.json``, ``curves.csv`` and ``checkpoint.pt``; the same run started again
+continues at its last checkpoint.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 import torch
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from service.doa.types import FloatArray
 from torch.utils.data import DataLoader, IterableDataset
 
 from model_export.config import TrainingConfig
 from model_export.scenes import RoomBank, draw_scene
 from model_export.tasks import Batch, Task, task_of
+from service.doa.types import FloatArray
 
 VALIDATION_BATCHES = 8
 
@@ -206,5 +206,3 @@ class _progress:
 
     def __exit__(self, *_: object) -> None:
         self.progress.stop()
-
-

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
-from service.doa.features import NUM_FEATURES
 from torch import Tensor, nn
 
-from model_export.subspace import dominance, pair_products, signal_power, signal_projector
+from model_export.subspace import dominance, signal_power, signal_projector
+from service.doa.features import NUM_FEATURES
 
 FREQUENCY_STRIDE = 4
 BLOCK_FRAMES = 8
@@ -85,19 +85,25 @@ class WeightsPipeline(nn.Module):
         """Exponent of the dominance in the attention"""
         self.log_sharpness = nn.Parameter(torch.tensor(2.64))
 
-    def forward(self, features: Tensor, spectra: Tensor, steering: Tensor) -> FusedSpectrum:
+    def forward(self, features: Tensor, spectra: Tensor, products: Tensor) -> FusedSpectrum:
         """Fused spectrum of every scene.
 
         Parameters
         ----------
         features : (B, 4, F, L) real
         spectra : (B, N, F, L) complex
-        steering : (B, F, N, A) complex
+        products : (B, F, N^2, A) real
+            The steering vectors' ``pair_products``.
         """
-        weights, attention = self.network(features)
+        # bfloat16 halves the convolutions' cost on a CPU; what follows needs its digits.
+        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.training):
+            weights, attention = self.network(
+                features.contiguous(memory_format=torch.channels_last)
+            )
+        weights, attention = weights.float(), attention.float()
         covariance = block_covariances(spectra, weights)  # (B, F, K, N, N)
         projector = signal_projector(covariance, 1)
-        power = signal_power(projector, pair_products(steering))  # (B, F, K, A)
+        power = signal_power(projector, products)  # (B, F, K, A)
         spectrum = 1 / (1 - power.clamp(max=1) + self.log_floor.exp())
         spectrum = spectrum / spectrum.amax(-1, keepdim=True)
         blocks = attention.unflatten(-1, (-1, BLOCK_FRAMES)).mean(-1)  # (B, F, K)

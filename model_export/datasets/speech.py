@@ -16,6 +16,7 @@ from typing import Literal
 
 import numpy as np
 import soundfile
+
 from service.doa.types import FloatArray
 
 SAMPLE_RATE = 16000

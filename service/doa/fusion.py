@@ -42,3 +42,27 @@ def mean_fusion(spectra: FloatArray) -> FloatArray:
     """Incoherent average over frequency: (..., F, A) -> (..., A), the classical methods' fusion."""
     mean: FloatArray = spectra.mean(axis=-2)
     return mean
+
+
+def attention_weights(spectra: FloatArray, squeeze: FloatArray, excite: FloatArray) -> FloatArray:
+    """Attention of every frequency bin from its spectrum's mean over the angles.
+
+    alpha = sigmoid(W2 relu(W1 mean_theta P(f, theta))), the paper's FAF with r = 16.
+
+    Parameters
+    ----------
+    spectra : (..., F, A) float32
+    squeeze : (F / r, F) float32
+        W1.
+    excite : (F, F / r) float32
+        W2.
+
+    Returns
+    -------
+    attention : (..., F) float32
+        Between 0 and 1.
+    """
+    pooled = spectra.mean(axis=-1)
+    hidden = np.maximum(pooled @ squeeze.T, 0)
+    attention: FloatArray = 1 / (1 + np.exp(-(hidden @ excite.T)))
+    return attention

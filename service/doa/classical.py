@@ -1,0 +1,81 @@
+"""Classical broadband localization: MUSIC, NormMUSIC and SRP-PHAT on the package's own parts.
+
+Conventions
+-----------
+Covariances and spectra are those of a band of F bins; every method gives one spectrum (A,) per
+window, larger where a source is more likely.
+
+Methods
+-------
+music : mean over bins of the MUSIC pseudo-spectrum.
+norm_music : the same with every bin divided by its maximum (Salvati, Drioli, Foresti, 2014).
+srp_phat : steered response power of phase-transformed spectra (DiBiase, 2000).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.doa.fusion import mean_fusion, normalise
+from service.doa.subspace import music_spectrum, signal_subspace
+from service.doa.types import ComplexArray, FloatArray
+
+
+def music(covariance: ComplexArray, steering: ComplexArray, num_sources: int) -> FloatArray:
+    """Broadband MUSIC, the arithmetic mean over bins.
+
+    Parameters
+    ----------
+    covariance : (..., F, N, N) complex64
+    steering : (F, N, A) complex64
+    num_sources : int
+
+    Returns
+    -------
+    spectrum : (..., A) float32
+
+    References
+    ----------
+    Schmidt, 1986.
+    """
+    return mean_fusion(music_spectrum(signal_subspace(covariance, num_sources), steering))
+
+
+def norm_music(covariance: ComplexArray, steering: ComplexArray, num_sources: int) -> FloatArray:
+    """Broadband MUSIC with every bin's spectrum divided by its maximum: (..., A) float32.
+
+    References
+    ----------
+    Salvati, Drioli, Foresti, 2014, Incoherent frequency fusion for broadband steered response
+    power algorithms in noisy environments.
+    """
+    subspace = signal_subspace(covariance, num_sources)
+    return mean_fusion(normalise(music_spectrum(subspace, steering)))
+
+
+def srp_phat(spectra: ComplexArray, steering: ComplexArray) -> FloatArray:
+    """Steered response power with the phase transform.
+
+    The mean over bins, frames and microphone pairs of Re(conj(a_i) a_j x_i conj(x_j)) with unit
+    magnitudes: 1 where all pairs agree with one plane wave.
+
+    Parameters
+    ----------
+    spectra : (..., N, F, L) complex64
+    steering : (F, N, A) complex64
+
+    Returns
+    -------
+    spectrum : (..., A) float32
+
+    References
+    ----------
+    DiBiase, 2000, A high-accuracy, low-latency technique for talker localization, eq. (5.2).
+    """
+    magnitude = np.maximum(np.abs(spectra), np.finfo(np.float32).tiny)
+    by_bin = np.swapaxes(spectra / magnitude, -3, -2)  # (..., F, N, L)
+    cross = by_bin @ np.conj(np.swapaxes(by_bin, -1, -2)) / np.float32(spectra.shape[-1])
+    response = np.sum(np.conj(steering) * (cross @ steering), axis=-2).real  # (..., F, A)
+    microphones = spectra.shape[-3]
+    pairs: FloatArray = (mean_fusion(response) - microphones) / (microphones * (microphones - 1))
+    return pairs.astype(np.float32)

@@ -1,0 +1,65 @@
+"""Magnitude and phase of a multichannel spectrogram, the regression network's input.
+
+Unlike ``features``, these are bound to one array: channel n is always microphone n. Nothing is
+resized: a frame of the features is a frame of the STFT. Resampling a spectrogram like an image, as
+is sometimes done to fit a network's input, averages wrapped phases and destroys the delays between
+microphones that localization lives on.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from service.doa.features import LEVEL_FLOOR, LEVEL_SCALE
+from service.doa.types import ComplexArray, FloatArray
+
+PhaseReference = Literal["absolute", "first"]
+"""Phase of every microphone by itself, or relative to microphone 0"""
+
+
+def spectrogram_features(
+    spectra: ComplexArray, reference: PhaseReference = "absolute"
+) -> FloatArray:
+    """Two real features per microphone for every time-frequency cell.
+
+    Parameters
+    ----------
+    spectra : (..., N, F, L) complex64
+    reference : str
+        ``"absolute"`` is the paper's text: first the N magnitudes, then the N phases divided by pi.
+        A magnitude is a log power relative to the window's mean power over all microphones, so that
+        the recording's gain cancels and level differences between microphones stay.
+
+        ``"first"`` turns every cell's channel vector until microphone 0 has phase zero and scales
+        it to unit norm: its N real parts, the imaginary parts of microphones 1 to N - 1 and, in
+        the place of the imaginary part that has become zero, the cell's log level. It holds the
+        same numbers but for the phase common to all microphones, which says nothing of directions,
+        and it has no jump at pi.
+
+    Returns
+    -------
+    features : (..., 2 N, F, L) float32
+    """
+    power = spectra.real**2 + spectra.imag**2  # (..., N, F, L)
+    if reference == "absolute":
+        phase = np.angle(spectra) / np.float32(np.pi)
+        return np.concatenate([_level(power), phase], axis=-3).astype(np.float32, copy=False)
+    total = power.sum(axis=-3, keepdims=True)  # (..., 1, F, L)
+    first = spectra[..., :1, :, :]
+    turn = np.conj(first) / np.maximum(np.abs(first), _TINY)
+    unit = spectra * turn / np.sqrt(np.maximum(total, _TINY))
+    return np.concatenate(
+        [unit.real, _level(total), unit.imag[..., 1:, :, :]], axis=-3, dtype=np.float32
+    )
+
+
+_TINY = np.finfo(np.float32).tiny
+
+
+def _level(power: FloatArray) -> FloatArray:
+    """Log power (..., C, F, L) relative to the mean over channels, bins and frames."""
+    mean = np.maximum(power.mean(axis=(-3, -2, -1), keepdims=True), _TINY)
+    level: FloatArray = np.float32(LEVEL_SCALE) * np.log(power / mean + np.float32(LEVEL_FLOOR))
+    return level

@@ -1,0 +1,67 @@
+"""Classical localizers behind the same interface as the networks, for any array."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.doa import classical
+from service.doa.array import MicrophoneArray
+from service.doa.covariance import sample_covariance
+from service.doa.peaks import find_peaks
+from service.doa.steering import azimuth_grid, steering_vectors
+from service.doa.stft import Stft
+from service.doa.types import ComplexArray, FloatArray
+from service.inference.results import Method, Source, WindowEstimate
+
+BAND = (300.0, 3500.0)
+"""Hertz: below it small arrays see no delay, above it speech is weak and delays are ambiguous"""
+RELATIVE_HEIGHT = 0.6
+"""Of the highest peak above the spectrum's mean: lower ones are no sources of their own"""
+LEAST_CONTRAST = 0.35
+"""1 - mean / peak of the spectrum: noise without a direction stays below"""
+
+
+class ClassicalLocalizer:
+    """MUSIC, NormMUSIC or SRP-PHAT on windows of one array's audio."""
+
+    def __init__(self, method: Method, array: MicrophoneArray, stft: Stft | None = None) -> None:
+        self._method = method
+        self._stft = stft or Stft()
+        frequencies = self._stft.frequencies
+        self._band = (frequencies >= BAND[0]) & (frequencies <= BAND[1])
+        self._steering = steering_vectors(array.positions, frequencies[self._band], azimuth_grid())
+        self._most_sources = array.num_microphones - 1
+
+    def estimate(
+        self, windows: FloatArray, num_sources: int | None, max_sources: int
+    ) -> list[WindowEstimate]:
+        """Directions of every window (B, N, T); without a known count, all distinct peaks."""
+        spectra = self._stft.transform(windows)[..., self._band, :]
+        dimension = min(num_sources or 1, self._most_sources)
+        return [
+            _pick(self.spectrum(window, dimension), num_sources, max_sources) for window in spectra
+        ]
+
+    def spectrum(self, spectra: ComplexArray, num_sources: int) -> FloatArray:
+        """Broadband spectrum (A,) of one window's band (N, F, L)."""
+        if self._method == "srp_phat":
+            return np.maximum(classical.srp_phat(spectra, self._steering), 0)
+        covariance = sample_covariance(spectra)
+        method = classical.music if self._method == "music" else classical.norm_music
+        return method(covariance, self._steering, num_sources)
+
+
+def _pick(spectrum: FloatArray, num_sources: int | None, max_sources: int) -> WindowEstimate:
+    highest = float(spectrum.max())
+    scaled = spectrum / np.float32(highest) if highest > 0 else spectrum
+    peaks = find_peaks(scaled, num_sources or max_sources)
+    mean = float(scaled.mean())
+    contrast = 1 - mean
+    if num_sources is None:
+        level = mean + RELATIVE_HEIGHT * contrast
+        peaks = [p for p in peaks if p.height >= level and contrast >= LEAST_CONTRAST]
+    sources = tuple(
+        Source(peak.azimuth, float(np.clip((peak.height - mean) / max(peak.height, 1e-9), 0, 1)))
+        for peak in peaks
+    )
+    return WindowEstimate(sources, scaled)

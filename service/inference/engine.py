@@ -1,0 +1,45 @@
+"""onnxruntime on a CPU: real tensors in, real tensors out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import onnxruntime as ort
+
+from service.doa.types import FloatArray
+from service.errors import BundleCorrupt
+
+
+class Engine:
+    """One ONNX graph with a fixed thread count; safe to call from several threads.
+
+    onnxruntime would size its pool by the host's cores, which is ruinous in a limited container,
+    and would spin while idle, which a robot's other programs pay for.
+    """
+
+    def __init__(self, path: Path, *, threads: int = 1) -> None:
+        options = ort.SessionOptions()
+        options.intra_op_num_threads = threads
+        options.inter_op_num_threads = 1
+        options.log_severity_level = 3
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        # The arena keeps the largest batch's memory for good; windows are small and few.
+        options.enable_cpu_mem_arena = False
+        try:
+            self._session = ort.InferenceSession(
+                path.read_bytes(), options, providers=["CPUExecutionProvider"]
+            )
+        except Exception as error:  # onnxruntime's exceptions share no public base
+            raise BundleCorrupt(
+                f"{path.name} is no ONNX graph that onnxruntime loads: {error}"
+            ) from error
+        self.inputs = [node.name for node in self._session.get_inputs()]
+        self.outputs = [node.name for node in self._session.get_outputs()]
+
+    def run(self, inputs: Sequence[FloatArray]) -> list[FloatArray]:
+        """The graph's outputs, in the graph's order, for its inputs in the graph's order."""
+        outputs: list[FloatArray] = self._session.run(
+            None, dict(zip(self.inputs, inputs, strict=True))
+        )
+        return outputs

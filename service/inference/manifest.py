@@ -1,0 +1,82 @@
+"""bundle.json: what a model bundle says of itself."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+SCHEMA_VERSION = 1
+Variant = Literal["weights", "regression"]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+class BoundArray(_Section):
+    """The array that a `regression` bundle was trained for."""
+
+    name: str
+    positions_m: list[tuple[float, float, float]]
+    """Metres, in channel order"""
+
+
+class StftSection(_Section):
+    """The transform in front of the networks."""
+
+    sample_rate: int
+    """Hertz"""
+    n_fft: int
+    """Samples"""
+    hop: int
+    """Samples"""
+    frames: int
+    """Frames per window that the networks were trained on"""
+
+
+class Tensor(_Section):
+    """One input or output of a graph; named dimensions are dynamic."""
+
+    name: str
+    shape: list[int | str]
+
+
+class Graph(_Section):
+    """An ONNX graph's contract; all tensors are float32."""
+
+    inputs: list[Tensor]
+    outputs: list[Tensor]
+
+
+class Manifest(_Section):
+    """Everything that a bundle says of itself."""
+
+    schema_version: Literal[1] = SCHEMA_VERSION
+    name: str = Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,63}$")
+    version: str
+    variant: Variant
+    """`weights`: time-frequency weights come out, any array; `regression`: matrices, one array"""
+    description: str
+    array: Literal["any"] | BoundArray
+    stft: StftSection
+    grid_size: int
+    """Azimuths of the spectrum"""
+    first_bin: int
+    """First STFT bin that the networks see"""
+    num_bins: int
+    """Bins that the networks see"""
+    max_sources: int
+    """Largest count that the source-count network can give"""
+    files: dict[str, str]
+    """SHA-256 of every other file of the bundle"""
+    covariance: Graph
+    source_count: Graph
+    training: dict[str, Any]
+    """Configuration, seed, steps and data"""
+    scores: dict[str, Any]
+    """Results on held-out speakers, with the protocol that they were measured on"""
+    parity: dict[str, Any]
+    """Largest differences of the spectra between torch, onnxruntime and numpy"""
+    licences: list[str]
+    """Licences of the training data"""

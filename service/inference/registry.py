@@ -1,0 +1,94 @@
+"""The bundles that a process serves, and the choice among them by geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from service.doa.array import MicrophoneArray
+from service.errors import BundleCorrupt, GeometryMismatch, SelfTestFailed, UnknownModel
+from service.inference.bundle import MANIFEST, Bundle, load_bundle
+from service.inference.localizer import localizer_of
+
+EMBEDDED_MODELS = Path(__file__).parent.parent / "models"
+GOLDEN_TOLERANCE = 1e-3
+"""Of the spectrum's maximum of 1: float32 on another CPU differs by about 1e-5"""
+
+
+class BundleRegistry:
+    """Loaded and self-tested bundles; the first one that fits an array is its default."""
+
+    def __init__(self, bundles: Sequence[Bundle]) -> None:
+        self.bundles = tuple(bundles)
+        names = [bundle.manifest.name for bundle in self.bundles]
+        for name in names:
+            if names.count(name) > 1:
+                raise BundleCorrupt(f"two bundles are named {name!r}: keep one of them")
+
+    @classmethod
+    def load(cls, folders: Sequence[Path] = (), *, threads: int = 1) -> BundleRegistry:
+        """Load user bundles, then the embedded ones; raises BundleError.
+
+        A folder may be a bundle or hold bundles.
+        """
+        found = [path for folder in folders for path in bundle_folders(folder)]
+        taken = {path.name for path in found}
+        found += [path for path in bundle_folders(EMBEDDED_MODELS) if path.name not in taken]
+        bundles = [load_bundle(folder, threads=threads) for folder in found]
+        for bundle in bundles:
+            self_test(bundle)
+        return cls(bundles)
+
+    def get(self, name: str) -> Bundle:
+        """The bundle of this name, or UnknownModel."""
+        for bundle in self.bundles:
+            if bundle.manifest.name == name:
+                return bundle
+        known = ", ".join(bundle.manifest.name for bundle in self.bundles) or "none"
+        raise UnknownModel(f"no model is named {name!r}; loaded are: {known}")
+
+    def for_array(self, array: MicrophoneArray, name: str | None = None) -> Bundle | None:
+        """The named bundle, or the first that fits the array, or None.
+
+        Raises
+        ------
+        UnknownModel
+            If no bundle has that name.
+        GeometryMismatch
+            If the named bundle is bound to another array.
+        """
+        if name is None:
+            return next((bundle for bundle in self.bundles if bundle.fits(array)), None)
+        bundle = self.get(name)
+        if not bundle.fits(array):
+            bound = bundle.bound_array()
+            raise GeometryMismatch(
+                f"model {name!r} is bound to the array {bound.name if bound else '?'!r}: use that "
+                "array, leave the model out, or choose a classical method"
+            )
+        return bundle
+
+
+def bundle_folders(folder: Path) -> list[Path]:
+    """The folder itself if it is a bundle, else its subfolders that are."""
+    if (folder / MANIFEST).is_file():
+        return [folder]
+    return sorted(path.parent for path in folder.glob(f"*/{MANIFEST}"))
+
+
+def self_test(bundle: Bundle) -> None:
+    """Raise SelfTestFailed unless the golden input gives the golden spectra on this machine."""
+    golden = bundle.golden
+    array = bundle.bound_array() or MicrophoneArray("golden", golden["positions"])
+    estimates = localizer_of(bundle, array).estimate(golden["windows"], 1, 1)
+    difference = max(
+        float(np.abs(estimate.spectrum - expected).max())
+        for estimate, expected in zip(estimates, golden["spectra"], strict=True)
+    )
+    if not difference <= GOLDEN_TOLERANCE:
+        raise SelfTestFailed(
+            f"bundle {bundle.manifest.name}: the golden spectra differ by {difference:.2g} (at "
+            f"most {GOLDEN_TOLERANCE:g}): this machine or its onnxruntime computes something else"
+        )
