@@ -51,7 +51,7 @@ class TrainingConfig:
 ANY_ARRAY = TrainingConfig(
     name="any-array",
     variant="weights",
-    steps=5000,
+    steps=4500,
     scenes=SceneConfig(source_counts=(0.0, 0.6, 0.3, 0.1)),
 )
 

@@ -21,17 +21,10 @@ from model_export import rooms
 from model_export.config import TrainingConfig
 from model_export.networks import CovarianceNetwork, FrequencyAttentionFusion, SourceCountNetwork
 from model_export.scenes import Scene
-from model_export.subspace import pair_products, signal_power, signal_projector
+from model_export.subspace import delay_products, signal_power, signal_projector
 from model_export.targets import target_spectrum
-from model_export.tasks import (
-    SPEED_OF_SOUND,
-    STFT,
-    Batch,
-    nearest_peak_error,
-    padded_azimuths,
-    torch_steering,
-)
-from service.doa.array import MicrophoneArray
+from model_export.tasks import STFT, Batch, nearest_peak_error, padded_azimuths
+from service.doa.array import SPEED_OF_SOUND, MicrophoneArray
 from service.doa.presets import preset
 from service.doa.spectrogram import PhaseReference, spectrogram_features
 from service.doa.steering import azimuth_grid, unit_vectors
@@ -39,6 +32,7 @@ from service.doa.types import FloatArray
 
 RESPONSE_SAMPLES = 4096
 """0.26 s; the reflections of order 4 in a room of 10 m have passed by then"""
+DIFFUSE_FIELDS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,25 +56,29 @@ class RegressionPipeline(nn.Module):
         self.log_floor = nn.Parameter(torch.tensor(-3.2))
         """MUSIC's floor, about 0.04: the width of the peaks"""
 
-    def forward(self, features: Tensor, steering: Tensor, num_sources: Tensor) -> RegressionResult:
+    def forward(self, features: Tensor, products: Tensor, num_sources: Tensor) -> RegressionResult:
         """Fused spectra and count logits.
 
         Parameters
         ----------
         features : (B, 2N, 257, 64) real
-        steering : (257, N, A) complex
-            Of the one array that all scenes share.
+        products : (257, N^2, A) real
+            The steering vectors' ``pair_products``, of the one array that all scenes share.
         num_sources : (B,) int
             The true counts in training (teacher forcing).
         """
-        parts = self.covariance(features)  # (B, F, 2, N, N)
+        # bfloat16 halves the convolutions' cost on a CPU; what follows needs its digits.
+        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.training):
+            features = features.contiguous(memory_format=torch.channels_last)
+            latent, logits = self.covariance.encoder(features), self.count(features)
+        parts = self.covariance.regressor(latent.float())  # (B, F, 2, N, N)
         covariance = torch.complex(parts[:, :, 0], parts[:, :, 1])  # (B, F, N, N)
         projector = counted_projector(covariance, num_sources)  # (B, F, N, N)
         # The scenes share a bin's steering vectors, hence bins first.
-        power = signal_power(projector.transpose(0, 1), pair_products(steering))  # (F, B, A)
+        power = signal_power(projector.transpose(0, 1), products)  # (F, B, A)
         spectrum = 1 / (1 - power.clamp(max=1) + self.log_floor.exp())  # (F, B, A)
         spectrum = spectrum / spectrum.amax(-1, keepdim=True)
-        return RegressionResult(self.fusion(spectrum.transpose(0, 1)), self.count(features))
+        return RegressionResult(self.fusion(spectrum.transpose(0, 1)), logits.float())
 
 
 def counted_projector(covariance: Tensor, num_sources: Tensor) -> Tensor:
@@ -153,19 +151,17 @@ class RegressionTask:
 
     def _run(self, batch: Batch) -> tuple[RegressionResult, Tensor]:
         count = batch["mask"].sum(-1)
-        steering = rotated_steering(self.array, batch["rotation"], batch["grid"])
-        return self.model(batch["features"], steering, count), count
+        products = rotated_products(self.array, batch["rotation"], batch["grid"])
+        return self.model(batch["features"], products, count), count
 
 
-def rotated_steering(array: MicrophoneArray, rotation: Tensor, grid: Tensor) -> Tensor:
-    """Steering vectors (F, N, A) complex64 of the array turned counter-clockwise by ``rotation``.
-
-    Turning the array is turning the grid the other way: p_n(r) . u(theta) = p_n . u(theta - r).
-    """
-    turned = array.rotated(float(rotation)).positions
-    centred = turned - turned.mean(axis=0)
-    delays = centred @ unit_vectors(grid.numpy().astype(np.float64)).T / SPEED_OF_SOUND  # (N, A)
-    return torch_steering(torch.from_numpy(delays).float()[None], STFT.frequencies)[0]
+def rotated_products(array: MicrophoneArray, rotation: Tensor, grid: Tensor) -> Tensor:
+    """``pair_products`` (F, N^2, A) of the array turned counter-clockwise by ``rotation``."""
+    positions = array.rotated(float(rotation)).positions
+    centred = positions - positions.mean(axis=0)
+    delays = centred @ unit_vectors(grid.double().numpy()).T / SPEED_OF_SOUND  # (N, A) seconds
+    frequencies = torch.from_numpy(STFT.frequencies).float()
+    return delay_products(torch.from_numpy(delays).float()[None], frequencies)[0]
 
 
 def simulate_array_chunk(
@@ -173,8 +169,8 @@ def simulate_array_chunk(
 ) -> dict[str, FloatArray]:
     """Rooms of image order 0 to 4, walls that absorb nothing, all with the same array.
 
-    Half are the paper's 7 x 7 x 3 m room and half of random size. They take 3 s, against minutes
-    for rooms with a reverberation time, so that they need not be kept on disk.
+    Half are the paper's 7 x 7 x 3 m room and half of random size. They take a second, against
+    minutes for rooms with a reverberation time, so that they need not be kept on disk.
 
     Returns
     -------
@@ -193,11 +189,13 @@ def simulate_array_chunk(
         peaks = np.abs(simulated).max(axis=(1, 2), keepdims=True)
         responses.append((simulated / peaks).astype(np.float16))
         azimuths.append(azimuth)
-        noise = rooms.diffuse_noise(rng, jittered, rooms.NOISE_SAMPLES)
+    # The slowest part by far; scenes shift the noise in time, so that few fields go a long way.
+    for _ in range(DIFFUSE_FIELDS):
+        noise = rooms.diffuse_noise(rng, array.positions, rooms.NOISE_SAMPLES)
         diffuse.append((0.1 * noise).astype(np.float16))
     return {
         "responses": np.stack(responses),
         "positions": np.repeat(array.positions[None], rooms.CHUNK_ROOMS, axis=0),
         "azimuth": np.stack(azimuths),
-        "diffuse": np.stack(diffuse),
+        "diffuse": np.stack(diffuse)[np.arange(rooms.CHUNK_ROOMS) % DIFFUSE_FIELDS],
     }

@@ -28,7 +28,8 @@ STFT = Stft()
 class Task(Protocol):
     """One variant under training."""
 
-    model: nn.Module
+    @property
+    def model(self) -> nn.Module: ...
 
     def prepare_chunk(self, chunk: dict[str, FloatArray]) -> dict[str, FloatArray]: ...
 
@@ -60,13 +61,11 @@ class WeightsTask:
         spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))[:, :, 1:]
         offset = rng.uniform(0, 2 * np.pi / self.config.grid_size)
         grid = offset + np.arange(self.config.grid_size) * (2 * np.pi / self.config.grid_size)
-        positions = np.stack([scene.positions for scene in scenes])
-        positions = positions - positions.mean(axis=1, keepdims=True)
-        delays = positions @ unit_vectors(grid).T / SPEED_OF_SOUND  # (B, N, A)
+        delays = steering_delays(np.stack([scene.positions for scene in scenes]), grid)
         return {
             "features": torch.from_numpy(coherence_features(spectra)),
             "spectra": torch.from_numpy(spectra),
-            "delays": torch.from_numpy(delays.astype(np.float32)),
+            "delays": torch.from_numpy(delays),
             "grid": torch.from_numpy(grid.astype(np.float32)),
             **padded_azimuths(scenes),
         }
@@ -84,6 +83,13 @@ class WeightsTask:
         products = delay_products(batch["delays"], torch.from_numpy(STFT.frequencies[1:]).float())
         result: FusedSpectrum = self.model(batch["features"], batch["spectra"], products)
         return result
+
+
+def steering_delays(positions: FloatArray, azimuth: FloatArray) -> FloatArray:
+    """Advances (B, N, A) float32 in seconds of plane waves at microphones (B, N, 3)."""
+    centred = positions - positions.mean(axis=-2, keepdims=True)
+    delays: FloatArray = centred @ unit_vectors(azimuth).T / SPEED_OF_SOUND
+    return delays.astype(np.float32)
 
 
 def padded_azimuths(scenes: Sequence[Scene]) -> Batch:

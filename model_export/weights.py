@@ -83,6 +83,8 @@ class WeightsPipeline(nn.Module):
         """MUSIC's floor, about 0.04: the width of the peaks"""
         self.log_dominance_power = nn.Parameter(torch.tensor(0.0))
         """Exponent of the dominance in the attention"""
+        self.log_window_share = nn.Parameter(torch.tensor(0.0))
+        """Attention of a bin's whole window against the sum of its blocks'"""
         self.log_sharpness = nn.Parameter(torch.tensor(2.64))
 
     def forward(self, features: Tensor, spectra: Tensor, products: Tensor) -> FusedSpectrum:
@@ -101,16 +103,19 @@ class WeightsPipeline(nn.Module):
                 features.contiguous(memory_format=torch.channels_last)
             )
         weights, attention = weights.float(), attention.float()
-        covariance = block_covariances(spectra, weights)  # (B, F, K, N, N)
+        blocks = block_covariances(spectra, weights)  # (B, F, K, N, N)
+        # Blocks tell talkers apart; the whole window, their sum, averages most of the noise.
+        covariance = torch.cat([blocks, blocks.sum(2, keepdim=True)], 2)
         projector = signal_projector(covariance, 1)
         power = signal_power(projector, products)  # (B, F, K, A)
         spectrum = 1 / (1 - power.clamp(max=1) + self.log_floor.exp())
         spectrum = spectrum / spectrum.amax(-1, keepdim=True)
-        blocks = attention.unflatten(-1, (-1, BLOCK_FRAMES)).mean(-1)  # (B, F, K)
+        attended = attention.unflatten(-1, (-1, BLOCK_FRAMES)).mean(-1)  # (B, F, K)
+        whole = attended.sum(-1, keepdim=True) * self.log_window_share.exp()
         quality = dominance(covariance, projector).clamp(1e-4, 1)
-        blocks = blocks * quality ** self.log_dominance_power.exp()
-        total = blocks.sum((1, 2)).clamp(min=1e-6)
-        fused = torch.einsum("bfk,bfka->ba", blocks, spectrum**2) / total[:, None]
+        cells = torch.cat([attended, whole], -1) * quality ** self.log_dominance_power.exp()
+        total = cells.sum((1, 2)).clamp(min=1e-6)
+        fused = torch.einsum("bfk,bfka->ba", cells, spectrum**2) / total[:, None]
         return FusedSpectrum(fused, self.log_sharpness.exp())
 
 

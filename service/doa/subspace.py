@@ -56,22 +56,34 @@ def noise_projector(subspace: ComplexArray) -> ComplexArray:
     return projector
 
 
-def signal_power(subspace: ComplexArray, steering: ComplexArray) -> FloatArray:
-    """||Us^H a||^2 / N for every steering vector: 1 where a lies in the signal subspace.
+def eigenvector_power(vectors: ComplexArray, steering: ComplexArray) -> FloatArray:
+    """|u^H a|^2 / N of every eigenvector u and steering vector a.
 
     Parameters
     ----------
-    subspace : (..., F, N, M) complex64
+    vectors : (..., F, N, K) complex64
+        Unit columns; the eigenvectors of one matrix, or the principal ones of K matrices.
     steering : (F, N, A) complex64
 
     Returns
     -------
-    power : (..., F, A) float32
+    power : (..., F, K, A) float32
         Between 0 and 1.
     """
-    response = np.conj(np.swapaxes(subspace, -1, -2)) @ steering  # (..., F, M, A)
-    power: FloatArray = np.sum(response.real**2 + response.imag**2, axis=-2)
-    return power / np.float32(steering.shape[-2])
+    response = np.conj(np.swapaxes(vectors, -1, -2)) @ steering
+    power: FloatArray = response.real**2 + response.imag**2
+    power *= np.float32(1 / steering.shape[-2])
+    return power
+
+
+def signal_power(subspace: ComplexArray, steering: ComplexArray) -> FloatArray:
+    """||Us^H a||^2 / N for every steering vector: 1 where a lies in the signal subspace.
+
+    ``subspace`` (..., F, N, M) with orthonormal columns and ``steering`` (F, N, A) give
+    (..., F, A) float32 between 0 and 1.
+    """
+    power: FloatArray = eigenvector_power(subspace, steering).sum(axis=-2)
+    return power
 
 
 def music_spectrum(

@@ -1,0 +1,191 @@
+"""From trained networks to a bundle: ONNX graphs, fusion parameters, golden self-test, parity.
+
+The graphs take and give real tensors with a dynamic batch axis; everything complex happens in
+numpy. Parity is measured on the fused spectra, from the same audio, between the torch pipeline and
+the localizer that serves (onnxruntime and numpy), and a bundle that exceeds the bound is not
+written.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from service.doa.array import MicrophoneArray
+from service.doa.presets import preset
+from service.doa.types import FloatArray
+from service.inference.bundle import (
+    COVARIANCE,
+    FILES,
+    FUSION,
+    GOLDEN,
+    MANIFEST,
+    SOURCE_COUNT,
+    file_sha256,
+    load_bundle,
+)
+from service.inference.localizer import localizer_of
+from service.inference.manifest import Graph, Manifest, Tensor
+from service.inference.registry import self_test
+from torch import nn
+
+from model_export.rooms import RoomSpec
+from model_export.simulate import Protocol, simulate_scene
+from model_export.synthesis import synthetic_voice
+
+MAX_PARITY = 1e-3
+"""Largest allowed difference of fused spectra, whose maximum is at most 1"""
+GOLDEN_ROOM = RoomSpec((5.0, 4.0, 2.8), (2.3, 1.9, 1.1), rt60=0.3)
+
+
+@dataclass(frozen=True, slots=True)
+class ExportGraph:
+    """A network and what its ONNX graph is called and takes."""
+
+    network: nn.Module
+    example: torch.Tensor
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    dynamic: Mapping[int, str]
+    """Dynamic axes of the input: index to name"""
+
+
+def export_onnx(graph: ExportGraph, path: Path) -> Graph:
+    """Write one ONNX file and give its contract."""
+    graph.network.eval()
+    axes = {axis: torch.export.Dim(name, min=1, max=65536) for axis, name in graph.dynamic.items()}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the exporter warns of its own internals
+        program = torch.onnx.export(
+            graph.network,
+            (graph.example,),
+            input_names=list(graph.inputs),
+            output_names=list(graph.outputs),
+            dynamic_shapes=(axes,),
+            dynamo=True,
+            optimize=True,
+            verbose=False,
+        )
+    assert program is not None
+    program.save(str(path), external_data=False)
+    return _contract(path)
+
+
+def _contract(path: Path) -> Graph:
+    """Names and shapes as the file has them."""
+    import onnx
+
+    model = onnx.load(path)
+
+    def tensors(nodes: Any) -> list[Tensor]:
+        return [
+            Tensor(
+                name=node.name,
+                shape=[d.dim_param or d.dim_value for d in node.type.tensor_type.shape.dim],
+            )
+            for node in nodes
+        ]
+
+    return Graph(inputs=tensors(model.graph.input), outputs=tensors(model.graph.output))
+
+
+def golden_windows(array: MicrophoneArray, count: int = 1, seed: int = 2026) -> FloatArray:
+    """(B, N, T) float32 windows of synthetic speech in a small room; free of any corpus."""
+    rng = np.random.default_rng(seed)
+    voices = [synthetic_voice(rng, 1.2) for _ in range(4)]
+    protocol = Protocol(num_sources=1, room=GOLDEN_ROOM, snr_db=20.0, distance=(0.6, 1.5))
+    scenes = [
+        simulate_scene(protocol, voices, [seed, index], array=array).audio for index in range(count)
+    ]
+    # 16-bit values compress, and every machine reads the same numbers back.
+    return np.stack([np.round(0.1 * s * 32768) / 32768 for s in scenes]).astype(np.float32)
+
+
+def write_bundle(
+    folder: Path,
+    fields: Mapping[str, Any],
+    covariance: ExportGraph,
+    source_count: ExportGraph,
+    fusion: Mapping[str, FloatArray],
+    reference: Sequence[FloatArray],
+    windows: FloatArray,
+    array: MicrophoneArray,
+) -> Manifest:
+    """Write a whole bundle and verify it as the service would.
+
+    Parameters
+    ----------
+    fields : mapping
+        The manifest's descriptive fields.
+    reference : sequence of (A,) float32
+        The torch pipeline's fused spectra of ``windows``.
+    windows : (B, N, T) float32
+    array : MicrophoneArray
+        Of the windows.
+
+    Raises
+    ------
+    ValueError
+        If the served spectra differ from the reference by more than ``MAX_PARITY``.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    graphs = {
+        "covariance": export_onnx(covariance, folder / COVARIANCE),
+        "source_count": export_onnx(source_count, folder / SOURCE_COUNT),
+    }
+    np.savez(folder / FUSION, **fusion)  # type: ignore[arg-type]
+    golden = {"positions": array.positions, "windows": windows[:1], "spectra": np.zeros((1, 1))}
+    np.savez_compressed(folder / GOLDEN, **golden)  # type: ignore[arg-type]
+    draft = {**fields, **graphs, "parity": {}}
+    _write_manifest(folder, draft)
+    localizer = localizer_of(load_bundle(folder), array)
+    served = [estimate.spectrum for estimate in localizer.estimate(windows, 1, 1)]
+    difference = max(float(np.abs(s - r).max()) for s, r in zip(served, reference, strict=True))
+    if difference > MAX_PARITY:
+        raise ValueError(f"torch and onnxruntime with numpy differ by {difference:.2g}")
+    golden["spectra"] = np.stack(served[:1]).astype(np.float32)
+    np.savez_compressed(folder / GOLDEN, **golden)  # type: ignore[arg-type]
+    parity = {
+        "what": "largest difference of fused spectra, torch against onnxruntime with numpy",
+        "windows": len(windows),
+        "max_abs_difference": float(f"{difference:.3g}"),
+        "bound": MAX_PARITY,
+    }
+    manifest = _write_manifest(folder, {**draft, "parity": parity})
+    self_test(load_bundle(folder))
+    return manifest
+
+
+def update_scores(folder: Path, scores: Mapping[str, Any]) -> None:
+    """Put an evaluation's scores into a bundle's manifest."""
+    fields = json.loads((folder / MANIFEST).read_text())
+    _write_manifest(folder, {**fields, "scores": dict(scores)})
+
+
+def _write_manifest(folder: Path, fields: Mapping[str, Any]) -> Manifest:
+    hashes = {name: file_sha256(folder / name) for name in FILES}
+    manifest = Manifest.model_validate({**fields, "files": hashes})
+    text = json.dumps(manifest.model_dump(), indent=2)
+    (folder / MANIFEST).write_text(text + "\n")
+    return manifest
+
+
+def bundle_array(name: str | None) -> MicrophoneArray:
+    """The array whose windows a bundle is verified on."""
+    return preset(name or "respeaker-usb-4mic-v2")
+
+
+def digest(state: Mapping[str, torch.Tensor]) -> str:
+    """A short hash of trained parameters, to tie a bundle to its checkpoint."""
+    joined = hashlib.sha256()
+    for key in sorted(state):
+        joined.update(key.encode())
+        joined.update(state[key].contiguous().cpu().numpy().tobytes())
+    return joined.hexdigest()[:16]

@@ -1,0 +1,142 @@
+"""Export of the `weights` variant: its networks, the source-count network and the parity check."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from service.doa.array import MicrophoneArray
+from service.doa.features import NUM_FEATURES, coherence_features
+from service.doa.steering import azimuth_grid
+from service.doa.types import FloatArray
+from service.inference.candidates import NUM_CANDIDATES, NUM_DESCRIPTORS
+from service.inference.engine import Engine
+from service.inference.manifest import Manifest
+from service.inference.weights import Analysis, CandidateSearch
+
+from model_export.counting import MAX_SOURCES, SourceCountNetwork
+from model_export.export import (
+    ExportGraph,
+    bundle_array,
+    export_onnx,
+    golden_windows,
+    write_bundle,
+)
+from model_export.subspace import delay_products
+from model_export.tasks import STFT, steering_delays
+from model_export.weights import WeightsPipeline
+
+FIRST_BIN = 1
+FRAMES = 64
+GRID_SIZE = 360
+PARITY_WINDOWS = 4
+
+
+def export_weights(
+    pipeline: WeightsPipeline,
+    source_count: SourceCountNetwork,
+    folder: Path,
+    fields: Mapping[str, Any],
+) -> Manifest:
+    """Write a `weights` bundle; ``fields`` name and describe it (see ``Manifest``)."""
+    pipeline.eval()
+    array = bundle_array(None)
+    windows = golden_windows(array, PARITY_WINDOWS)
+    analysis = analysis_of(pipeline)
+    return write_bundle(
+        folder,
+        {
+            **fields,
+            "variant": "weights",
+            "array": "any",
+            "stft": {
+                "sample_rate": STFT.sample_rate,
+                "n_fft": STFT.n_fft,
+                "hop": STFT.hop,
+                "frames": FRAMES,
+            },
+            "grid_size": GRID_SIZE,
+            "first_bin": FIRST_BIN,
+            "num_bins": analysis.num_bins,
+            "max_sources": MAX_SOURCES,
+        },
+        covariance_graph(pipeline),
+        count_graph(source_count),
+        {
+            "floor": np.float32(analysis.floor),
+            "dominance_power": np.float32(analysis.dominance_power),
+            "window_share": np.float32(analysis.window_share),
+        },
+        list(reference_spectra(pipeline, windows, array)),
+        windows,
+        array,
+    )
+
+
+def covariance_graph(pipeline: WeightsPipeline) -> ExportGraph:
+    """Features to weights and attentions, for any number of windows and frames."""
+    return ExportGraph(
+        pipeline.network,
+        torch.zeros(2, NUM_FEATURES, STFT.num_bins - FIRST_BIN, FRAMES),
+        ("features",),
+        ("weights", "attention"),
+        {0: "batch", 3: "frames"},
+    )
+
+
+def count_graph(network: SourceCountNetwork) -> ExportGraph:
+    """Candidates' descriptors to counts and confidences."""
+    return ExportGraph(
+        network,
+        torch.zeros(2, NUM_CANDIDATES, NUM_DESCRIPTORS),
+        ("descriptors",),
+        ("count_logits", "confidence_logits"),
+        {0: "batch"},
+    )
+
+
+def analysis_of(pipeline: WeightsPipeline) -> Analysis:
+    """The search's parameters as the trained pipeline has them."""
+    return Analysis(
+        stft=STFT,
+        first_bin=FIRST_BIN,
+        num_bins=STFT.num_bins - FIRST_BIN,
+        grid_size=GRID_SIZE,
+        floor=float(pipeline.log_floor.detach().exp()),
+        dominance_power=float(pipeline.log_dominance_power.detach().exp()),
+        window_share=float(pipeline.log_window_share.detach().exp()),
+    )
+
+
+def candidate_search(
+    pipeline: WeightsPipeline, folder: Path
+) -> Callable[[MicrophoneArray], CandidateSearch]:
+    """The search that serves, before there is a count network to make a bundle with."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "covariance.onnx"
+    export_onnx(covariance_graph(pipeline), path)
+    engine = Engine(path)
+    analysis = analysis_of(pipeline)
+    return lambda array: CandidateSearch(engine, analysis, array)
+
+
+@torch.no_grad()
+def reference_spectra(
+    pipeline: WeightsPipeline, windows: FloatArray, array: MicrophoneArray
+) -> FloatArray:
+    """The torch pipeline's fused spectra (B, A) of windows (B, N, T)."""
+    pipeline.eval()
+    spectra = STFT.transform(windows)[:, :, FIRST_BIN:]
+    delays = steering_delays(array.positions[None], azimuth_grid(GRID_SIZE))
+    frequencies = torch.from_numpy(STFT.frequencies[FIRST_BIN:]).float()
+    products = delay_products(torch.from_numpy(delays), frequencies)
+    result = pipeline(
+        torch.from_numpy(coherence_features(spectra)),
+        torch.from_numpy(spectra),
+        products.expand(len(windows), -1, -1, -1),
+    )
+    fused: FloatArray = result.fused.numpy()
+    return fused
