@@ -1,0 +1,85 @@
+"""Arrays are validated so that the classic mistakes are named instead of computed with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from service.doa.array import MicrophoneArray, speed_of_sound, validate_channel_map
+from service.errors import InvalidChannelMap, InvalidGeometry
+
+SQUARE = np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]) * 0.02285
+
+
+@pytest.mark.parametrize(
+    ("factor", "hint"), [(1000, "millimetres"), (100, "centimetres"), (0.001, "kilometres")]
+)
+def test_a_wrong_unit_is_suggested(factor: float, hint: str) -> None:
+    with pytest.raises(InvalidGeometry, match=hint):
+        MicrophoneArray("custom", SQUARE * factor)
+
+
+def test_coincident_microphones_are_named() -> None:
+    positions = np.vstack([SQUARE, SQUARE[2]])
+    with pytest.raises(InvalidGeometry, match="microphones 2 and 4"):
+        MicrophoneArray("custom", positions)
+
+
+@pytest.mark.parametrize("count", [0, 1, 33])
+def test_the_number_of_microphones_is_bounded(count: int) -> None:
+    positions = np.zeros((count, 3))
+    positions[:, 0] = 0.01 * np.arange(count)
+    with pytest.raises(InvalidGeometry, match="2 to 32"):
+        MicrophoneArray("custom", positions)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_positions_must_be_finite(bad: float) -> None:
+    positions = SQUARE.copy()
+    positions[1, 1] = bad
+    with pytest.raises(InvalidGeometry, match="finite"):
+        MicrophoneArray("custom", positions)
+
+
+def test_positions_must_have_three_coordinates() -> None:
+    with pytest.raises(InvalidGeometry, match=r"\[x, y, z\]"):
+        MicrophoneArray("custom", SQUARE[:, :2])
+
+
+def test_aperture_and_kind() -> None:
+    square = MicrophoneArray("custom", SQUARE)
+    assert square.aperture == pytest.approx(2 * np.sqrt(2) * 0.02285)
+    assert square.planar
+    assert not square.linear
+    line = MicrophoneArray("custom", np.array([[0, 0.03 * n, 0.0] for n in range(4)]))
+    assert line.linear
+    raised = SQUARE.copy()
+    raised[0, 2] = 0.02
+    assert not MicrophoneArray("custom", raised).planar
+
+
+def test_a_translated_array_is_the_same_array_and_a_turned_one_is_not() -> None:
+    square = MicrophoneArray("custom", SQUARE)
+    assert square.matches(MicrophoneArray("elsewhere", SQUARE + [0.3, -0.1, 1.0]))
+    assert not square.matches(square.rotated(np.pi / 2))
+    assert square.rotated(2 * np.pi).matches(square)
+    assert not square.matches(MicrophoneArray("three", SQUARE[:3]))
+
+
+def test_positions_cannot_be_changed_afterwards() -> None:
+    array = MicrophoneArray("custom", SQUARE)
+    with pytest.raises(ValueError, match="read-only"):
+        array.positions[0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("channel_map", "message"),
+    [([0, 1, 2], "names 3 channels"), ([0, 1, 1, 2], "twice"), ([0, 1, 2, -1], "negative")],
+)
+def test_channel_maps_are_checked(channel_map: list[int], message: str) -> None:
+    with pytest.raises(InvalidChannelMap, match=message):
+        validate_channel_map(channel_map, 4)
+
+
+def test_speed_of_sound_at_room_temperature() -> None:
+    assert speed_of_sound(20.0) == pytest.approx(343.4, abs=0.5)

@@ -1,0 +1,50 @@
+"""Windows cut from blocks, whatever the blocks' sizes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.inference.windows import windows
+
+RATE = 1000
+
+
+@given(
+    total=st.integers(1, 5000),
+    window=st.sampled_from([0.2, 0.5, 1.024]),
+    hop=st.sampled_from([0.05, 0.3, 0.512, 2.0]),
+    cuts=st.lists(st.integers(0, 5000), max_size=8),
+)
+def test_any_split_gives_the_same_windows(
+    total: int, window: float, hop: float, cuts: list[int]
+) -> None:
+    audio = np.arange(1, total + 1, dtype=np.float32)[None]
+    blocks = np.split(audio, sorted(c for c in cuts if c < total), axis=1)
+    found = list(windows(blocks, RATE, window, hop, tail=16))
+    length = round(window * RATE)
+    for index, piece in enumerate(found):
+        start = round(index * hop * RATE)
+        assert piece.start == pytest.approx(index * hop)
+        assert piece.audio.shape == (1, length + 16)
+        expected = audio[0, start : start + length + 16]
+        np.testing.assert_array_equal(piece.audio[0, : expected.size], expected)
+        assert (piece.audio[0, expected.size :] == 0).all()
+        assert piece.heard == min(length, total - start)
+    # The last window, and no earlier one, reaches the end of the recording.
+    ends = [round(index * hop * RATE) + length for index in range(len(found))]
+    if hop <= window:
+        assert ends[-1] >= total
+    assert all(end < total for end in ends[:-1])
+
+
+def test_a_short_recording_is_one_padded_window() -> None:
+    (only,) = windows([np.ones((4, 300), np.float32)], RATE, 1.0, 0.5, tail=16)
+    assert only.heard == 300
+    assert only.audio.shape == (4, 1016)
+
+
+def test_nothing_gives_nothing() -> None:
+    assert list(windows([], RATE, 1.0, 0.5, tail=16)) == []

@@ -1,0 +1,109 @@
+"""Settings: flags over environment over defaults, and sentences for what is wrong."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from service.errors import ConfigError
+from service.settings import Settings, load_settings, usable_cpus, variable
+
+
+@pytest.fixture(autouse=True)
+def _clean_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in os.environ if name.startswith("NEURALMUSIC_")]:
+        monkeypatch.delenv(name)
+
+
+def test_defaults_are_for_a_developer_on_one_machine() -> None:
+    settings = load_settings()
+    assert (settings.host, settings.port) == ("127.0.0.1", 8000)
+    assert settings.workers == usable_cpus()
+    assert settings.max_upload_bytes == 512 * 2**20
+
+
+def test_a_flag_wins_over_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NEURALMUSIC_PORT", "9000")
+    monkeypatch.setenv("NEURALMUSIC_QUEUE", "3")
+    settings = load_settings(port=9001, queue=None)
+    assert (settings.port, settings.queue) == (9001, 3)
+
+
+def test_model_folders_are_separated_as_in_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NEURALMUSIC_MODELS", f"/opt/a{os.pathsep}/opt/b")
+    assert load_settings().models == (Path("/opt/a"), Path("/opt/b"))
+    assert load_settings(models=[Path("/c")]).models == (Path("/c"),)
+
+
+def test_an_empty_variable_is_one_not_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NEURALMUSIC_PORT", "")
+    assert load_settings().port == 8000
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "sentence"),
+    [
+        ("NEURALMUSIC_PORT", "70000", "port must be at most 65535, but is '70000'"),
+        ("NEURALMUSIC_PORT", "http", "port must be a whole number, but is 'http'"),
+        ("NEURALMUSIC_WORKERS", "0", "workers must be at least 1, but is '0'"),
+        ("NEURALMUSIC_WORKERS", "1.5", "workers must be a whole number, but is '1.5'"),
+        ("NEURALMUSIC_MAX_SECONDS", "0", "max_seconds must be greater than 0"),
+        ("NEURALMUSIC_MAX_SECONDS", "nan", "max_seconds must be at most 86400"),
+        ("NEURALMUSIC_MAX_SECONDS", "an hour", "max_seconds must be a number"),
+        ("NEURALMUSIC_LOG_LEVEL", "loud", "log_level must be one of 'critical', 'error'"),
+        ("NEURALMUSIC_MAX_UPLOAD", "1", "did you mean NEURALMUSIC_MAX_UPLOAD_BYTES?"),
+        ("NEURALMUSIC_PROT", "", "did you mean NEURALMUSIC_PORT?"),
+        ("NEURALMUSIC_XYZZY", "1", "there are NEURALMUSIC_HOST, NEURALMUSIC_PORT, "),
+        ("NEURALMUSIC_PORT", "tcp://10.0.0.1:80", "enableServiceLinks: false"),
+        ("NEURALMUSIC_SERVICE_HOST", "10.0.0.1", "enableServiceLinks: false"),
+    ],
+)
+def test_a_wrong_variable_is_refused_with_a_sentence(
+    name: str, value: str, sentence: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(name, value)
+    with pytest.raises(ConfigError) as caught:
+        load_settings()
+    assert sentence in caught.value.detail
+
+
+@pytest.mark.parametrize(
+    ("flags", "sentence"),
+    [
+        ({"port": -1}, "port must be at least 0, but is -1 (flag or NEURALMUSIC_PORT)"),
+        ({"prot": 1}, "unknown setting prot: did you mean port?"),
+        ({"port": -1, "queue": -1}, "; queue must be at least 0"),
+    ],
+)
+def test_a_wrong_flag_is_refused_with_a_sentence(flags: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_settings(**flags)
+    assert sentence in caught.value.detail
+
+
+def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    examples = {"host": "::1", "models": "/m", "default_model": "w", "log_level": "debug"}
+    for name, field in Settings.model_fields.items():
+        assert field.description, name
+        monkeypatch.setenv(variable(name), examples.get(name, "2048"))
+    monkeypatch.setenv("NEURALMUSIC_WORKERS", "7")
+    monkeypatch.setenv("NEURALMUSIC_THREADS", "3")
+    monkeypatch.setenv("NEURALMUSIC_MAX_CHANNELS", "9")
+    assert load_settings().model_dump() == {
+        "host": "::1",
+        "port": 2048,
+        "models": (Path("/m"),),
+        "default_model": "w",
+        "workers": 7,
+        "threads": 3,
+        "queue": 2048,
+        "max_upload_bytes": 2048,
+        "max_seconds": 2048.0,
+        "max_channels": 9,
+        "log_level": "debug",
+    }
