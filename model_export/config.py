@@ -47,6 +47,15 @@ class TrainingConfig:
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
 
+    @classmethod
+    def from_dict(cls, fields: dict[str, Any]) -> TrainingConfig:
+        """The configuration that ``as_dict`` wrote, also after a round trip through JSON."""
+        scenes = {
+            key: tuple(value) if isinstance(value, list) else value
+            for key, value in fields["scenes"].items()
+        }
+        return cls(**{**fields, "scenes": SceneConfig(**scenes)})
+
 
 ANY_ARRAY = TrainingConfig(
     name="any-array",

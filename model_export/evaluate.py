@@ -17,6 +17,9 @@ from typing import Any
 import numpy as np
 import pyroomacoustics as pra
 from rich.progress import track
+
+from model_export.rooms import RoomSpec
+from model_export.simulate import Protocol, SimulatedScene, simulate_scene
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.scoring import evaluate
@@ -26,9 +29,6 @@ from service.inference.bundle import load_bundle
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import localizer_of
 from service.inference.results import METHODS
-
-from model_export.rooms import RoomSpec
-from model_export.simulate import Protocol, SimulatedScene, simulate_scene
 
 EVALUATION_SEED = 7
 BANDS = ((300.0, 3500.0), (100.0, 7900.0))

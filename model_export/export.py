@@ -18,6 +18,11 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import nn
+
+from model_export.rooms import RoomSpec
+from model_export.simulate import Protocol, simulate_scene
+from model_export.synthesis import synthetic_voice
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.types import FloatArray
@@ -34,11 +39,6 @@ from service.inference.bundle import (
 from service.inference.localizer import localizer_of
 from service.inference.manifest import Graph, Manifest, Tensor
 from service.inference.registry import self_test
-from torch import nn
-
-from model_export.rooms import RoomSpec
-from model_export.simulate import Protocol, simulate_scene
-from model_export.synthesis import synthetic_voice
 
 MAX_PARITY = 1e-3
 """Largest allowed difference of fused spectra, whose maximum is at most 1"""

@@ -8,14 +8,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from service.doa.array import MicrophoneArray
-from service.doa.features import NUM_FEATURES, coherence_features
-from service.doa.steering import azimuth_grid
-from service.doa.types import FloatArray
-from service.inference.candidates import NUM_CANDIDATES, NUM_DESCRIPTORS
-from service.inference.engine import Engine
-from service.inference.manifest import Manifest
-from service.inference.weights import Analysis, CandidateSearch
 
 from model_export.counting import MAX_SOURCES, SourceCountNetwork
 from model_export.export import (
@@ -28,6 +20,14 @@ from model_export.export import (
 from model_export.subspace import delay_products
 from model_export.tasks import STFT, steering_delays
 from model_export.weights import WeightsPipeline
+from service.doa.array import MicrophoneArray
+from service.doa.features import NUM_FEATURES, coherence_features
+from service.doa.steering import azimuth_grid
+from service.doa.types import FloatArray
+from service.inference.candidates import NUM_CANDIDATES, NUM_DESCRIPTORS
+from service.inference.engine import Engine
+from service.inference.manifest import Manifest
+from service.inference.weights import Analysis, CandidateSearch
 
 FIRST_BIN = 1
 FRAMES = 64

@@ -19,7 +19,6 @@ SAMPLE_RATE = 16000
 WINDOW_SAMPLES = 16640
 """64 STFT frames of 512 samples every 256"""
 DRY_SAMPLES = 32000
-FFT_SAMPLES = 40000  # dry signal and response without wrapping round
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,8 +117,8 @@ def dry_speech(rng: np.random.Generator, speech: Sequence[FloatArray], start: in
 
 
 def convolve(dry: FloatArray, responses: FloatArray) -> FloatArray:
-    """A dry signal (T,) through responses (N, K): (N, T + K - 1 at most) float32."""
-    size = scipy.fft.next_fast_len(min(FFT_SAMPLES, dry.size + responses.shape[-1]), real=True)
+    """A dry signal (T,) through responses (N, K): at least (N, T + K - 1) float32."""
+    size = scipy.fft.next_fast_len(dry.size + responses.shape[-1], real=True)
     spectrum = scipy.fft.rfft(dry, size) * scipy.fft.rfft(responses, size, axis=-1)
     wet: FloatArray = scipy.fft.irfft(spectrum, size, axis=-1).astype(np.float32)
     return wet

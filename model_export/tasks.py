@@ -44,7 +44,9 @@ def task_of(config: TrainingConfig) -> Task:
     """The task of a configuration, with a freshly initialised model."""
     if config.variant == "weights":
         return WeightsTask(config)
-    raise ValueError(f"no task for the variant {config.variant!r}")
+    from model_export.regression import RegressionTask  # it builds on this module
+
+    return RegressionTask(config)
 
 
 class WeightsTask:

@@ -102,6 +102,18 @@ def train(
     return task
 
 
+def load_run(run: Path) -> tuple[TrainingConfig, Task, int]:
+    """A run's configuration, its task with the checkpoint's parameters, and the step."""
+    if not (run / "checkpoint.pt").exists():
+        raise FileNotFoundError(f"{run} holds no checkpoint.pt: train first")
+    config = TrainingConfig.from_dict(json.loads((run / "config.json").read_text()))
+    task = task_of(config)
+    state = torch.load(run / "checkpoint.pt", weights_only=True)
+    task.model.load_state_dict(state["model"])
+    task.model.eval()
+    return config, task, int(state["step"])
+
+
 def _optimize(
     task: Task,
     batch: Batch,

@@ -14,7 +14,7 @@ DoaError
 ├─ BundleError
 │  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed
 └─ CapacityError
-   └─ Overloaded
+   └─ Overloaded · NotReady
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class TruncatedAudio(AudioError):
 
 
 class NonFiniteAudio(AudioError):
-    """Samples are NaN or infinite."""
+    """Samples are NaN, infinite or absurdly large."""
 
     code, title = "audio_non_finite", "Non-finite samples"
 
@@ -217,3 +217,9 @@ class Overloaded(CapacityError):
     """Every worker is busy and the queue is full."""
 
     code, title = "overloaded", "Overloaded"
+
+
+class NotReady(CapacityError):
+    """The models are not loaded yet."""
+
+    code, title = "not_ready", "Not ready"

@@ -125,6 +125,11 @@ def validate_positions(positions: FloatArray) -> None:
             f"the outermost microphones are {aperture:g} m apart (at most {MAX_APERTURE:g} m): "
             f"{_unit_hint(aperture)}"
         )
+    if 0 < aperture < MIN_APERTURE:
+        raise InvalidGeometry(
+            f"the outermost microphones are {aperture * 1000:g} mm apart "
+            f"(at least {MIN_APERTURE * 1000:g} mm): {_unit_hint(aperture)}"
+        )
     first, second = np.unravel_index(
         np.argmin(distances + np.where(np.eye(count, dtype=bool), np.inf, 0.0)), distances.shape
     )
@@ -132,11 +137,6 @@ def validate_positions(positions: FloatArray) -> None:
         raise InvalidGeometry(
             f"microphones {min(first, second)} and {max(first, second)} stand at the same point: "
             f"give every microphone its own position"
-        )
-    if aperture < MIN_APERTURE:
-        raise InvalidGeometry(
-            f"the outermost microphones are {aperture * 1000:g} mm apart "
-            f"(at least {MIN_APERTURE * 1000:g} mm): {_unit_hint(aperture)}"
         )
 
 

@@ -16,27 +16,27 @@ from service.doa.features import LEVEL_FLOOR, LEVEL_SCALE
 from service.doa.types import ComplexArray, FloatArray
 
 PhaseReference = Literal["absolute", "first"]
-"""Phase of every microphone by itself, or relative to microphone 0"""
+"""Whether a phase is every microphone's own or relative to microphone 0's"""
 
 
-def spectrogram_features(
-    spectra: ComplexArray, reference: PhaseReference = "absolute"
-) -> FloatArray:
+def spectrogram_features(spectra: ComplexArray, reference: PhaseReference = "first") -> FloatArray:
     """Two real features per microphone for every time-frequency cell.
 
     Parameters
     ----------
     spectra : (..., N, F, L) complex64
     reference : str
-        ``"absolute"`` is the paper's text: first the N magnitudes, then the N phases divided by pi.
-        A magnitude is a log power relative to the window's mean power over all microphones, so that
-        the recording's gain cancels and level differences between microphones stay.
-
         ``"first"`` turns every cell's channel vector until microphone 0 has phase zero and scales
         it to unit norm: its N real parts, the imaginary parts of microphones 1 to N - 1 and, in
         the place of the imaginary part that has become zero, the cell's log level. It holds the
         same numbers but for the phase common to all microphones, which says nothing of directions,
         and it has no jump at pi.
+
+        ``"absolute"`` is the paper's text: first the N magnitudes, then the N wrapped phases
+        divided by pi. A magnitude is a log power relative to the window's mean power over all
+        microphones, so that the recording's gain cancels and level differences between
+        microphones stay. Networks learn very slowly from it, since a delay is a difference of two
+        phases modulo 2 pi.
 
     Returns
     -------

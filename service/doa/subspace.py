@@ -14,7 +14,7 @@ import numpy as np
 from service.doa.types import ComplexArray, FloatArray
 from service.errors import TooManySources
 
-DENOMINATOR_FLOOR = 1e-6  # of N: float32 cannot tell smaller distances to the subspace from zero
+DENOMINATOR_FLOOR = 2e-7  # of N: float32 cannot tell smaller distances to the subspace from zero
 
 
 def signal_subspace(covariance: ComplexArray, num_sources: int) -> ComplexArray:

@@ -52,64 +52,89 @@ class CandidateSearch:
         )
 
     def candidates(self, windows: FloatArray) -> list[Candidates]:
-        """Candidate sources of every window (B, N, T) before counting."""
+        """Candidate sources of every window (B, N, T), before counting."""
         spectra = self.spectra(windows)
         weights, attention = self.weigh(spectra)
         # One window at a time: its spectra are megabytes and stay in the cache.
-        return [
-            find_candidates(*self.block_spectra(*window))
-            for window in zip(spectra, weights, attention, strict=True)
-        ]
+        return [self._search(*window) for window in zip(spectra, weights, attention, strict=True)]
+
+    def _search(
+        self, spectra: ComplexArray, weights: FloatArray, attention: FloatArray
+    ) -> Candidates:
+        principal, dominance = principal_eigenvectors(cell_covariances(spectra, weights))
+        cells = self.cell_spectra(principal)
+        cell_attention, mean_dominance = self.attend(attention, dominance)
+        return find_candidates(cells, cell_attention, mean_dominance)
 
     def spectra(self, windows: FloatArray) -> ComplexArray:
-        """STFT of the band, cropped or zero-padded to whole blocks: (B, N, F, L) complex64."""
+        """STFT of the band in whole blocks of frames: (B, N, F, L) complex64.
+
+        Up to half a block of frames at the end is left out, more is padded with zeros.
+        """
         spectra = self._analysis.stft.transform(windows)[..., self._bins, :]
-        missing = -spectra.shape[-1] % BLOCK_FRAMES
-        if 0 < missing <= BLOCK_FRAMES // 2 or spectra.shape[-1] < BLOCK_FRAMES:
-            widths = [(0, 0)] * (spectra.ndim - 1) + [(0, missing)]
-            spectra = np.pad(spectra, widths)
-        return spectra[..., : spectra.shape[-1] // BLOCK_FRAMES * BLOCK_FRAMES]
+        frames = spectra.shape[-1]
+        wanted = max(1, round(frames / BLOCK_FRAMES)) * BLOCK_FRAMES
+        if wanted > frames:
+            spectra = np.pad(spectra, [(0, 0)] * (spectra.ndim - 1) + [(0, wanted - frames)])
+        return spectra[..., :wanted]
 
     def weigh(self, spectra: ComplexArray) -> tuple[FloatArray, FloatArray]:
-        """Weights and attentions (B, F, L) from the network."""
+        """Weights and attentions (B, F, L) from the covariance network."""
         weights, attention = self._covariance.run([coherence_features(spectra)])
         return weights, attention
 
-    def block_spectra(
-        self, spectra: ComplexArray, weights: FloatArray, attention: FloatArray
-    ) -> tuple[FloatArray, FloatArray, float]:
-        """Rank-one MUSIC of one window per bin and block.
+    def cell_spectra(self, principal: ComplexArray) -> FloatArray:
+        """Rank-one MUSIC of every cell: (F, N, K) to (F K, A) float32 with a maximum of 1 each."""
+        power = eigenvector_power(principal, self._steering)  # (F, K, A)
+        spectra = normalise(1 / (np.float32(1 + self._analysis.floor) - np.minimum(power, 1)))
+        return spectra.reshape(-1, spectra.shape[-1])
 
-        Parameters
-        ----------
-        spectra : (N, F, L) complex64
-        weights, attention : (F, L) float32
+    def attend(self, attention: FloatArray, dominance: FloatArray) -> tuple[FloatArray, float]:
+        """What every cell counts in the fusion, from (F, L) and (F, K).
 
         Returns
         -------
-        cells : (F K, A) float32
-            Spectra of F bins in K - 1 blocks and the whole window, each with a maximum of 1.
         cell_attention : (F K,) float32
-        dominance : float
-            Attention-weighted mean share of the principal eigenvector, 0 in an isotropic field.
+        mean_dominance : float
+            Weighted by the attention, in [0, 1].
         """
-        blocks = weighted_covariance(spectra, weights, BLOCK_FRAMES)  # (F, K - 1, N, N)
-        # Blocks tell talkers apart; the whole window, their sum, averages most of the noise.
-        covariance = np.concatenate([blocks, blocks.sum(axis=1, keepdims=True)], axis=1)
-        values, vectors = np.linalg.eigh(covariance)
-        microphones = spectra.shape[-3]
-        # Blocks' principal eigenvectors stand as columns, so that a bin is one matrix product.
-        columns = np.swapaxes(vectors[..., -1], -1, -2)  # (F, N, K)
-        power = eigenvector_power(columns, self._steering)  # (F, K, A)
-        spectrum = normalise(1 / (np.float32(1 + self._analysis.floor) - np.minimum(power, 1)))
-        share = values[..., -1] / np.maximum(values.sum(axis=-1), np.finfo(np.float32).tiny)
-        dominance = np.clip((share - 1 / microphones) / (1 - 1 / microphones), 1e-4, 1)
         attended = attention.reshape(len(attention), -1, BLOCK_FRAMES).mean(axis=-1)
         whole = attended.sum(axis=-1, keepdims=True) * np.float32(self._analysis.window_share)
         attended = np.concatenate([attended, whole], axis=1)
-        cells = (attended * dominance**self._analysis.dominance_power).astype(np.float32)
         mean = float((attended * dominance).sum() / max(float(attended.sum()), 1e-9))
-        return spectrum.reshape(-1, spectrum.shape[-1]), cells.reshape(-1), mean
+        cells = (attended * dominance**self._analysis.dominance_power).astype(np.float32)
+        return cells.reshape(-1), mean
+
+
+def cell_covariances(spectra: ComplexArray, weights: FloatArray) -> ComplexArray:
+    """Covariances of a bin's K - 1 blocks and of its whole window.
+
+    Blocks tell talkers apart; the whole window, their sum, averages most of the noise.
+    ``spectra`` (N, F, L) and ``weights`` (F, L) give (F, K, N, N) complex64.
+    """
+    blocks = weighted_covariance(spectra, weights, BLOCK_FRAMES)
+    return np.concatenate([blocks, blocks.sum(axis=1, keepdims=True)], axis=1)
+
+
+def principal_eigenvectors(covariance: ComplexArray) -> tuple[ComplexArray, FloatArray]:
+    """The signal subspace of rank one and how far it dominates.
+
+    Parameters
+    ----------
+    covariance : (F, K, N, N) complex64
+
+    Returns
+    -------
+    principal : (F, N, K) complex64
+        Unit columns, so that a bin's cells meet its steering vectors in one matrix product.
+    dominance : (F, K) float32
+        Share of the largest eigenvalue: 0 in an isotropic field, 1 for a single plane wave.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    microphones = covariance.shape[-1]
+    share = values[..., -1] / np.maximum(values.sum(axis=-1), np.finfo(np.float32).tiny)
+    dominance = np.clip((share - 1 / microphones) / (1 - 1 / microphones), 1e-4, 1)
+    return np.swapaxes(vectors[..., -1], -1, -2), dominance.astype(np.float32)
 
 
 class WeightsLocalizer:

@@ -74,6 +74,10 @@ class Localize:
 
     client: TestClient
 
+    @property
+    def has_model(self) -> bool:
+        return bool(self.client.get("/models").json()["models"])
+
     def raw(self, body: bytes, media_type: str = "audio/wav", **options: Any) -> httpx2.Response:
         headers = {"Content-Type": media_type}
         params = {"array": ARRAY, **options}

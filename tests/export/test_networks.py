@@ -1,8 +1,9 @@
-"""The paper's networks: sizes, Hermitian matrices, fusion and export as the paper's text has them."""
+"""The paper's networks: sizes, Hermitian matrices, fusion and export as its text has them."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,15 @@ from model_export.networks import (
 from service.doa.fusion import attention_fusion, attention_weights
 
 pytestmark = pytest.mark.torch
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread() -> Iterator[None]:
+    """Two threads on two busy cores wait for each other ten times longer than they compute."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
 
 
 def parameters(module: nn.Module) -> int:

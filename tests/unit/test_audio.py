@@ -225,10 +225,16 @@ def test_a_bad_header_is_refused_when_opened(
     ("content", "error", "says"),
     [
         pytest.param(
-            encoded(NAN, subtype="FLOAT"), errors.NonFiniteAudio, "channel 2 is NaN at 0.750 s"
+            encoded(NAN, subtype="FLOAT"), errors.NonFiniteAudio, "channel 2 is nan at 0.750 s"
         ),
         pytest.param(
-            encoded(INF, subtype="DOUBLE"), errors.NonFiniteAudio, "channel 3 is infinite at 0.500"
+            encoded(INF, subtype="DOUBLE"), errors.NonFiniteAudio, "channel 3 is -inf at 0.500"
+        ),
+        pytest.param(
+            encoded(np.full((9, 4), 3e38, np.float32), subtype="FLOAT"),
+            errors.NonFiniteAudio,
+            "3e.38",
+            id="beyond all powers",
         ),
         pytest.param(FLAC[: len(FLAC) // 2], errors.TruncatedAudio, "3.00 s", id="half a FLAC"),
         pytest.param(

@@ -68,9 +68,7 @@ def test_features_ignore_level_order_and_array_phase() -> None:
     np.testing.assert_allclose(coherence_features(spectra[[2, 0, 3, 1]]), features, atol=2e-4)
     # Another place of the microphones is a phase per microphone and bin.
     turned = spectra * np.exp(1j * np.random.default_rng(7).uniform(0, 6, (4, 12, 1)))
-    np.testing.assert_allclose(
-        coherence_features(turned.astype(np.complex64)), features, atol=2e-4
-    )
+    np.testing.assert_allclose(coherence_features(turned.astype(np.complex64)), features, atol=2e-4)
 
 
 def test_a_steady_direction_is_coherent_and_noise_is_not() -> None:

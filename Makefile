@@ -1,0 +1,63 @@
+# The service in one word: make run. Everything for developers: make install, then the rest.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+HOST := $(or $(NEURALMUSIC_HOST),127.0.0.1)
+PORT := $(or $(NEURALMUSIC_PORT),8000)
+
+.PHONY: help install run test lint types format bench openapi clean
+
+help:
+	@echo "make run      install and start the service with its embedded model (no torch)"
+	@echo "make test     install everything and run the tests"
+	@echo "make install  only install everything, torch for the CPU included"
+	@echo "make lint     ruff, formatting, openapi.yaml"
+	@echo "make types    mypy, strict on service/"
+	@echo "make format   let ruff format and fix"
+	@echo "make bench    time every stage against pyroomacoustics"
+	@echo "make openapi  write openapi.yaml from the application"
+
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.ready: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --editable .
+	@touch $@
+
+$(VENV)/.installed: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	@touch $@ $(VENV)/.ready
+
+install: $(VENV)/.installed
+
+run: $(VENV)/.ready
+	@echo
+	@echo "Once the service is up, localize the sample recording from another terminal:"
+	@echo
+	@echo "  curl -s -F audio=@examples/two-talkers.flac -F array=respeaker-usb-4mic-v2 http://$(HOST):$(PORT)/localize"
+	@echo
+	@exec $(BIN)/neuralmusic serve
+
+test: install
+	$(BIN)/python -m pytest
+
+lint: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/python -m service.openapi --check openapi.yaml
+
+types: install
+	$(BIN)/mypy
+
+format: install
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: install
+	$(BIN)/neuralmusic bench
+
+openapi: install
+	$(BIN)/python -m service.openapi > openapi.yaml
+
+clean:
+	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache build dist

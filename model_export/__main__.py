@@ -1,0 +1,212 @@
+"""Command line of the training side: ``python -m model_export rooms|train|export|evaluate|...``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+import torch
+
+from model_export.config import CONFIGS, smoke
+from model_export.datasets.speech import Split, librispeech, load, speech_commands
+from service.doa.presets import PRESETS, preset
+from service.doa.types import FloatArray
+
+LIBRISPEECH_REPEATS = 6
+"""Utterances stand this often among the words, so that a tenth of the scenes is running speech"""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command; returns the exit status."""
+    arguments = _parser().parse_args(argv)
+    torch.set_num_threads(arguments.threads)
+    try:
+        arguments.run_command(arguments)
+    except (FileNotFoundError, ValueError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m model_export", description=__doc__)
+    parser.add_argument("--threads", type=int, default=1, help="torch threads (default 1)")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    rooms = commands.add_parser("rooms", help="simulate the room bank that training draws from")
+    rooms.add_argument("--out", type=Path, required=True, help="folder of the chunks")
+    rooms.add_argument("--chunks", type=int, default=160, help="chunks of 32 rooms")
+    rooms.add_argument("--workers", type=int, default=1, help="processes")
+    rooms.set_defaults(run_command=_rooms)
+
+    train = commands.add_parser("train", help="train a network, or continue its run")
+    train.add_argument("--config", choices=sorted(CONFIGS), default="any-array")
+    train.add_argument("--run", type=Path, required=True, help="folder of the run")
+    train.add_argument("--smoke", action="store_true", help="a few steps only, to try it out")
+    _add_data(train)
+    train.set_defaults(run_command=_train)
+
+    export = commands.add_parser("export", help="train the source count and write a bundle")
+    export.add_argument("--run", type=Path, required=True, help="folder of the trained run")
+    export.add_argument("--out", type=Path, required=True, help="folder of the bundle")
+    export.add_argument("--version", default="0.1.0")
+    export.add_argument("--counting-scenes", type=int, default=16000)
+    _add_data(export)
+    export.set_defaults(run_command=_export)
+
+    evaluate = commands.add_parser("evaluate", help="score bundles and classical methods")
+    evaluate.add_argument("--bundle", type=Path, nargs="*", default=[], help="bundle folders")
+    evaluate.add_argument("--speech-commands", type=Path, required=True)
+    evaluate.add_argument("--scenes", type=int, default=100, help="scenes a cell")
+    evaluate.add_argument("--out", type=Path, required=True, help="folder of the tables")
+    evaluate.add_argument(
+        "--write-scores", action="store_true", help="put the scores into the bundles' manifests"
+    )
+    evaluate.set_defaults(run_command=_evaluate)
+
+    simulate = commands.add_parser("simulate", help="write simulated scenes with their metadata")
+    simulate.add_argument("--out", type=Path, required=True)
+    simulate.add_argument("--count", type=int, default=10)
+    simulate.add_argument("--sources", type=int, default=1)
+    simulate.add_argument("--array", choices=sorted(PRESETS), default="respeaker-usb-4mic-v2")
+    simulate.add_argument("--snr-db", type=float, default=30.0)
+    simulate.add_argument("--order", type=int, default=4, help="image order of the paper's room")
+    simulate.add_argument("--seed", type=int, default=0)
+    simulate.add_argument("--speech-commands", type=Path, help="default: synthetic voices")
+    simulate.set_defaults(run_command=_simulate)
+
+    sample = commands.add_parser("sample", help="write the sample recording of the README")
+    sample.add_argument("--out", type=Path, required=True)
+    sample.set_defaults(run_command=_sample)
+    return parser
+
+
+def _add_data(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--rooms", type=Path, required=True, help="folder of the room bank")
+    parser.add_argument("--speech-commands", type=Path, required=True, help="corpus folder")
+    parser.add_argument("--librispeech", type=Path, help="folder of utterances, optional")
+
+
+def _speech(arguments: argparse.Namespace, split: Split) -> list[FloatArray]:
+    audio = load(speech_commands(arguments.speech_commands, split))
+    if arguments.librispeech and split == "train":
+        audio += load(librispeech(arguments.librispeech, split)) * LIBRISPEECH_REPEATS
+    return audio
+
+
+def _rooms(arguments: argparse.Namespace) -> None:
+    from model_export.rooms import write_room_bank
+
+    write_room_bank(arguments.out, arguments.chunks, workers=arguments.workers)
+
+
+def _train(arguments: argparse.Namespace) -> None:
+    from model_export.train import train
+
+    config = CONFIGS[arguments.config]
+    train(
+        smoke(config) if arguments.smoke else config,
+        arguments.run,
+        arguments.rooms,
+        _speech(arguments, "train"),
+        _speech(arguments, "development"),
+    )
+
+
+def _export(arguments: argparse.Namespace) -> None:
+    from model_export.counting import collect, train_counting
+    from model_export.export import digest
+    from model_export.export_weights import candidate_search, export_weights
+    from model_export.scenes import RoomBank
+    from model_export.train import load_run
+    from model_export.weights import WeightsPipeline
+
+    config, task, step = load_run(arguments.run)
+    if not isinstance(task.model, WeightsPipeline):
+        raise ValueError(
+            f"{arguments.run} is a {config.variant} run: only weights runs are exported"
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        search = candidate_search(task.model, Path(folder))
+        bank, validation = RoomBank(arguments.rooms), RoomBank(arguments.rooms, validation=True)
+        count = arguments.counting_scenes
+        data = collect(search, bank, _speech(arguments, "train"), count, seed=config.seed)
+        held = collect(search, validation, _speech(arguments, "development"), count // 8, seed=99)
+    network, counting = train_counting(data, held)
+    shutil.rmtree(arguments.out, ignore_errors=True)
+    manifest = export_weights(
+        task.model,
+        network,
+        arguments.out,
+        {
+            "name": config.name,
+            "version": arguments.version,
+            "description": "Time-frequency weights from array-independent features; works on any "
+            "array without retraining.",
+            "training": {
+                "config": config.as_dict(),
+                "steps": step,
+                "scenes": step * config.batch_size,
+                "parameters": digest(task.model.state_dict()),
+                "counting_scenes": count,
+                "counting_validation": {k: round(v, 4) for k, v in counting.items()},
+                "data": _datasets(arguments),
+            },
+            "scores": {},
+            "licences": ["Google Speech Commands: CC BY 4.0", "LibriSpeech: CC BY 4.0"],
+        },
+    )
+    print(json.dumps({"parity": manifest.parity, "counting": counting}, indent=2))
+
+
+def _datasets(arguments: argparse.Namespace) -> list[str]:
+    names = ["Google Speech Commands, training speakers"]
+    return [*names, "LibriSpeech, training speakers"] if arguments.librispeech else names
+
+
+def _evaluate(arguments: argparse.Namespace) -> None:
+    from model_export.evaluate import bundle_scores, run, write
+    from model_export.export import update_scores
+    from service.inference.bundle import read_manifest
+
+    speech = load(speech_commands(arguments.speech_commands, "heldout"))
+    results = run(arguments.bundle, speech, arguments.scenes)
+    write(results, arguments.out)
+    print((arguments.out / "results.md").read_text())
+    if arguments.write_scores:
+        for folder in arguments.bundle:
+            update_scores(folder, bundle_scores(results, read_manifest(folder)[0].name))
+
+
+def _simulate(arguments: argparse.Namespace) -> None:
+    import numpy as np
+
+    from model_export.simulate import Protocol, write_scenes
+    from model_export.synthesis import synthetic_voice
+
+    if arguments.speech_commands:
+        speech = load(speech_commands(arguments.speech_commands, "heldout"))
+    else:
+        rng = np.random.default_rng(arguments.seed)
+        speech = [synthetic_voice(rng, 1.0) for _ in range(20)]
+    protocol = Protocol(
+        num_sources=arguments.sources,
+        array=preset(arguments.array).name,
+        orders=(arguments.order, arguments.order),
+        snr_db=arguments.snr_db,
+    )
+    write_scenes(arguments.out, protocol, speech, arguments.count, arguments.seed)
+
+
+def _sample(arguments: argparse.Namespace) -> None:
+    from model_export.sample import write_sample
+
+    write_sample(arguments.out)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,135 @@
+"""RFC 9457 problems: every error of every path in one shape, with a stable code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+from starlette.responses import JSONResponse, Response
+
+from service.errors import CapacityError, DoaError, InvalidOption
+
+MEDIA_TYPE = "application/problem+json"
+TYPE_PREFIX = "urn:neuralmusic:problem:"
+RETRY_AFTER = 2
+"""Seconds; a worker localizes minutes of audio in that time"""
+UNEXPECTED = "the service failed on this request; its log says why: please report it"
+
+
+class Problem(BaseModel):
+    """What went wrong and what to do about it (RFC 9457)."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    type: str = Field(examples=[f"{TYPE_PREFIX}channel_mismatch"])
+    """Identifies the kind of problem: `urn:neuralmusic:problem:` and the code"""
+    title: str = Field(examples=["Channels do not fit the array"])
+    """The kind of problem in words; the same for every occurrence"""
+    status: int = Field(examples=[422])
+    """The HTTP status"""
+    detail: str = Field(
+        examples=[
+            "the recording has 6 channels, but the array respeaker-usb-4mic-v2 has 4 microphones: "
+            "this device's 6-channel firmware has the raw microphones in channels 1, 2, 3, 4: "
+            "pass channel_map=1,2,3,4"
+        ]
+    )
+    """What happened this time, and what to do"""
+    code: str = Field(examples=["channel_mismatch"])
+    """For programs; never changes its meaning"""
+
+
+def problem_response(error: DoaError) -> Response:
+    """The response that an error becomes."""
+    headers = {"Retry-After": str(RETRY_AFTER)} if isinstance(error, CapacityError) else None
+    return _response(error.code, error.status, error.title, error.detail, headers)
+
+
+def problem_responses(*errors: type[DoaError]) -> dict[int | str, dict[str, Any]]:
+    """OpenAPI responses that have every one of these errors as an example."""
+    responses: dict[int | str, dict[str, Any]] = {}
+    for status in sorted({error.status for error in errors}):
+        alike = sorted((e for e in errors if e.status == status), key=lambda error: error.code)
+        responses[status] = {
+            # Not the status' phrase: Python's versions disagree on it.
+            "description": ", ".join(f"`{error.code}`" for error in alike),
+            "content": {
+                MEDIA_TYPE: {
+                    "schema": {"$ref": "#/components/schemas/Problem"},
+                    "examples": {error.code: _example(error) for error in alike},
+                }
+            },
+        }
+        if any(issubclass(error, CapacityError) for error in alike):
+            seconds = {"description": "Seconds", "schema": {"type": "integer"}}
+            responses[status]["headers"] = {"Retry-After": seconds}
+    return responses
+
+
+def install_problem_handlers(app: FastAPI) -> None:
+    """Turn everything that can go wrong in a request into a problem."""
+    app.add_exception_handler(DoaError, _on_doa_error)
+    app.add_exception_handler(HTTPException, _on_http_exception)
+    app.add_exception_handler(RequestValidationError, _on_validation_error)
+    app.add_exception_handler(ClientDisconnect, _on_disconnect)
+    app.add_exception_handler(Exception, _on_unexpected)
+
+
+async def _on_doa_error(request: Request, error: Exception) -> Response:
+    assert isinstance(error, DoaError)
+    return problem_response(error)
+
+
+async def _on_http_exception(request: Request, error: Exception) -> Response:
+    """Starlette's own refusals: no such path, wrong method."""
+    assert isinstance(error, HTTPException)
+    status, path = error.status_code, request.url.path
+    code, title, detail = f"http_{status}", "Refused", error.detail
+    if status == HTTPStatus.NOT_FOUND:
+        code, title = "not_found", "Not found"
+        detail = f"there is nothing at {path[:80]}: GET / lists what there is"
+    elif status == HTTPStatus.METHOD_NOT_ALLOWED:
+        code, title = "method_not_allowed", "Method not allowed"
+        allowed = (error.headers or {}).get("Allow", "another method")
+        detail = f"{path} takes {allowed}, not {request.method}"
+    return _response(code, status, title, detail, error.headers)
+
+
+async def _on_validation_error(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    first = error.errors()[0]
+    place = ".".join(str(part) for part in first["loc"])
+    return problem_response(InvalidOption(f"{place}: {first['msg']}"))
+
+
+async def _on_disconnect(request: Request, error: Exception) -> Response:
+    return Response(status_code=HTTPStatus.BAD_REQUEST)  # nobody is there to read it
+
+
+async def _on_unexpected(request: Request, error: Exception) -> Response:
+    """Say nothing of the cause; the server logs the traceback."""
+    return problem_response(DoaError(UNEXPECTED))
+
+
+def _example(error: type[DoaError]) -> dict[str, Any]:
+    detail = UNEXPECTED if error is DoaError else (error.__doc__ or "")
+    value = _fields(error.code, error.status, error.title, detail)
+    return {"summary": error.title, "value": value}
+
+
+def _fields(code: str, status: int, title: str, detail: str) -> dict[str, Any]:
+    problem = Problem(type=TYPE_PREFIX + code, title=title, status=status, detail=detail, code=code)
+    return problem.model_dump()
+
+
+def _response(
+    code: str, status: int, title: str, detail: str, headers: Mapping[str, str] | None = None
+) -> Response:
+    content = _fields(code, status, title, detail)
+    return JSONResponse(content, status, headers, media_type=MEDIA_TYPE)

@@ -1,0 +1,40 @@
+"""What the endpoints share: settings, worker threads, loaded models."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fastapi import Request
+
+from service.api.workers import WorkerPool
+from service.audio import AudioLimits
+from service.errors import NotReady
+from service.inference.registry import BundleRegistry
+from service.settings import Settings
+
+
+@dataclass(slots=True)
+class ServiceState:
+    """One application's state; ``app.state.service`` holds it."""
+
+    settings: Settings
+    workers: WorkerPool
+    registry: BundleRegistry | None = None
+    """None until the bundles are loaded and self-tested"""
+
+    @property
+    def audio_limits(self) -> AudioLimits:
+        settings = self.settings
+        return AudioLimits(max_channels=settings.max_channels, max_seconds=settings.max_seconds)
+
+    def models(self) -> BundleRegistry:
+        """The loaded bundles, or NotReady."""
+        if self.registry is None:
+            raise NotReady("the models are being loaded: try again in a moment")
+        return self.registry
+
+
+def state_of(request: Request) -> ServiceState:
+    """The state of the application that serves a request."""
+    state: ServiceState = request.app.state.service
+    return state

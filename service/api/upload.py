@@ -1,0 +1,137 @@
+"""Request bodies: a multipart form or raw audio, spooled to disk and always closed."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass
+from tempfile import SpooledTemporaryFile
+from typing import BinaryIO
+
+from starlette.datastructures import FormData, UploadFile
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+
+from service.errors import (
+    DoaError,
+    InvalidOption,
+    MissingAudio,
+    Overloaded,
+    UnsupportedMediaType,
+    UploadError,
+)
+
+FIELD = "audio"
+SPOOL_BYTES = 2**20
+"""A body up to this size stays in memory"""
+MAX_FIELDS = 32
+MAX_FILES = 4
+MAX_FIELD_BYTES = 64 * 2**10
+
+HOW = "send the recording as multipart field 'audio' (curl -F audio=@recording.wav)"
+
+
+@dataclass(frozen=True, slots=True)
+class Upload:
+    """A recording as it arrived, and the options that came with it."""
+
+    file: BinaryIO
+    options: list[tuple[str, str]]
+
+
+@asynccontextmanager
+async def read_upload(request: Request) -> AsyncIterator[Upload]:
+    """The request's recording and options; the temporary file lives as long as the context.
+
+    Raises
+    ------
+    UnsupportedMediaType
+        If the body is neither a form nor audio.
+    MissingAudio
+        If there is no recording in it.
+    UploadTooLarge
+        From the body limit, while the body is read.
+    """
+    is_form = _media_type(request) == "multipart/form-data"
+    async with AsyncExitStack() as stack:
+        try:
+            body = _form(request) if is_form else _raw(request)
+            upload, size = await stack.enter_async_context(body)
+        except OSError as error:
+            raise Overloaded("there is no room to store the upload: try again later") from error
+        if not size:
+            raise MissingAudio(f"the recording is empty (0 bytes): {HOW}")
+        yield upload
+
+
+def _media_type(request: Request) -> str:
+    """The body's media type, or UnsupportedMediaType."""
+    header = request.headers.get("content-type", "application/octet-stream")
+    media_type = header.partition(";")[0].strip().lower()
+    if media_type.startswith("audio/") or media_type in (
+        "multipart/form-data",
+        "application/octet-stream",
+        "application/ogg",
+    ):
+        return media_type
+    hint = " (curl's default for --data-binary: add -H 'Content-Type: audio/wav')"
+    raise UnsupportedMediaType(
+        f"the body is {media_type[:80]!r}"
+        f"{hint if media_type == 'application/x-www-form-urlencoded' else ''}: "
+        "send multipart/form-data with the file field 'audio', or a raw body with Content-Type "
+        "audio/wav, audio/flac or application/octet-stream"
+    )
+
+
+@asynccontextmanager
+async def _form(request: Request) -> AsyncIterator[tuple[Upload, int]]:
+    """A form's recording with its size in bytes, and its fields."""
+    limits = {"max_files": MAX_FILES, "max_fields": MAX_FIELDS, "max_part_size": MAX_FIELD_BYTES}
+    try:
+        form = await request.form(**limits)
+    except HTTPException as error:
+        raise UploadError(f"the multipart body cannot be read: {error.detail} {HOW}") from error
+    try:
+        audio, fields = _split(form)
+        options = request.query_params.multi_items() + fields
+        yield Upload(audio.file, options), audio.size or 0
+    finally:
+        await form.close()
+
+
+@asynccontextmanager
+async def _raw(request: Request) -> AsyncIterator[tuple[Upload, int]]:
+    """The whole body as the recording, with its size in bytes."""
+    with SpooledTemporaryFile(SPOOL_BYTES) as file:
+        spooled = UploadFile(file, size=0)  # type: ignore[arg-type]
+        async for chunk in request.stream():
+            await spooled.write(chunk)
+        await spooled.seek(0)
+        yield Upload(spooled.file, request.query_params.multi_items()), spooled.size or 0
+
+
+def _split(form: FormData) -> tuple[UploadFile, list[tuple[str, str]]]:
+    """The form's recording and its other fields."""
+    audio: UploadFile | None = None
+    fields: list[tuple[str, str]] = []
+    for name, value in form.multi_items():
+        if name == FIELD:
+            if isinstance(value, str):
+                raise MissingAudio(f"audio is text, not a file: {HOW}, with the @")
+            if audio is not None:
+                raise InvalidOption("audio was given twice: send one recording per request")
+            audio = value
+        elif isinstance(value, str):
+            fields.append((name, value))
+        else:
+            raise _misnamed_file(name[:60])
+    if audio is None:
+        raise MissingAudio(f"the form has no file field 'audio': {HOW}")
+    return audio, fields
+
+
+def _misnamed_file(name: str) -> DoaError:
+    return InvalidOption(
+        f"the form's file field is called {name!r}: only 'audio' is a file, options are text "
+        "(curl -F 'array=<geometry.json' sends a file's content as text)"
+    )

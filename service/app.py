@@ -1,0 +1,98 @@
+"""The ASGI application: ``uvicorn --factory service.app:create_app`` or ``neuralmusic serve``."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import anyio.to_thread
+from fastapi import FastAPI
+from fastapi.routing import APIRoute
+
+from service import __version__
+from service.api import catalog, localize, probes
+from service.api.limits import BodyLimit
+from service.api.problems import Problem, install_problem_handlers
+from service.api.state import ServiceState
+from service.api.workers import WorkerPool
+from service.errors import ConfigError, UnknownModel
+from service.inference.registry import BundleRegistry
+from service.settings import Settings, load_settings
+
+DESCRIPTION = """
+Directions of arrival from microphone array audio, with a neural covariance model and MUSIC or with
+classical methods.
+
+Angles are azimuths in degrees in [0, 360), counter-clockwise from the array's +x axis (x forward,
+y left, z up). Positions are metres, times seconds. Errors are RFC 9457 problems with a stable
+`code`.
+"""
+
+TAGS = [
+    {"name": "localization", "description": "Recordings in, directions out."},
+    {"name": "catalog", "description": "What requests may name."},
+    {"name": "service", "description": "Probes."},
+]
+
+
+class DocumentedApp(FastAPI):
+    """FastAPI whose document defines ``Problem``, which no endpoint's type mentions."""
+
+    def openapi(self) -> dict[str, Any]:
+        document = super().openapi()
+        document["components"]["schemas"].setdefault("Problem", Problem.model_json_schema())
+        return document
+
+
+def create_app(settings: Settings | None = None, registry: BundleRegistry | None = None) -> FastAPI:
+    """The application; without a registry it loads its bundles at startup."""
+    settings = settings or load_settings()
+    state = ServiceState(settings, WorkerPool(settings.workers, settings.queue), registry)
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        if state.registry is None:
+            state.registry = await anyio.to_thread.run_sync(load_registry, settings)
+        yield
+
+    app = DocumentedApp(
+        title="NeuralMUSIC Service",
+        summary="Sound source localization for robots",
+        description=DESCRIPTION.strip(),
+        version=__version__,
+        license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
+        openapi_tags=TAGS,
+        lifespan=lifespan,
+        redoc_url=None,
+        generate_unique_id_function=_operation_id,
+    )
+    app.state.service = state
+    app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
+    install_problem_handlers(app)
+    for router in (localize.router, catalog.router, probes.router):
+        app.include_router(router)
+    return app
+
+
+def load_registry(settings: Settings) -> BundleRegistry:
+    """The bundles that the settings ask for, self-tested.
+
+    Raises
+    ------
+    BundleError
+        If a bundle cannot be used.
+    ConfigError
+        If the default model is not among them.
+    """
+    registry = BundleRegistry.load(settings.models, threads=settings.threads)
+    if settings.default_model is not None:
+        try:
+            registry.get(settings.default_model)
+        except UnknownModel as error:
+            raise ConfigError(f"default_model: {error.detail}") from None
+    return registry
+
+
+def _operation_id(route: APIRoute) -> str:
+    return route.name

@@ -1,0 +1,119 @@
+"""Time-frequency cells in which one direct sound is heard: the evidence of the geometry.
+
+Over a few frames a cell of one source has a channel vector that keeps its direction, so that the
+block of vectors X (N, K) has rank one. That is read from the K x K Gram matrix X^H X, which shares
+its nonzero eigenvalues with X X^H and stays small for any number of microphones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.doa.stft import Stft
+from service.doa.types import ComplexArray, FloatArray, IntArray
+
+FRAME_S = 0.032
+MIN_FREQUENCY = 300.0  # Hz; below, neighbouring microphones of small arrays hear the same phase
+MAX_FREQUENCY = 4000.0  # Hz; above, speech is weak and positions are known too coarsely
+BLOCK_FRAMES = 5  # 96 ms: a syllable; noise rarely keeps its direction that long
+PURITY = 0.66  # sum of squared eigenvalues over squared sum; 1 is one source, 1/5 is noise
+MAX_BLOCKS = 100
+BLOCK_CELLS = 24
+MIN_BLOCK_CELLS = 6  # fewer cells than this fit nearly any direction
+MIN_BLOCKS = 8  # fewer are no statistics
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """C cells of B blocks of time."""
+
+    frequency: FloatArray
+    """(C,) hertz"""
+    block: IntArray
+    """(C,) 0 to B - 1"""
+    vectors: ComplexArray
+    """(C, N) complex64, entries of unit modulus: microphones differ in gain, not in delay"""
+
+    @property
+    def num_blocks(self) -> int:
+        return int(self.block[-1]) + 1 if self.block.size else 0
+
+    @property
+    def enough(self) -> bool:
+        return self.num_blocks >= MIN_BLOCKS
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    power: float
+    frequency: FloatArray
+    vectors: ComplexArray
+
+
+def direct_cells(segments: Sequence[FloatArray], sample_rate: int, max_frequency: float) -> Cells:
+    """The strongest cells of one source from an excerpt.
+
+    Parameters
+    ----------
+    segments : list of (N, T) float32
+    sample_rate : int
+        Hertz.
+    max_frequency : float
+        Hertz; at most ``MAX_FREQUENCY`` counts.
+
+    Returns
+    -------
+    cells : Cells
+        At most ``MAX_BLOCKS * BLOCK_CELLS``; none where no direct sound is heard.
+    """
+    n_fft = 1 << round(np.log2(FRAME_S * sample_rate))
+    stft = Stft(sample_rate, n_fft, n_fft // 2)
+    band = (stft.frequencies >= MIN_FREQUENCY) & (
+        stft.frequencies <= min(max_frequency, MAX_FREQUENCY)
+    )
+    blocks: list[_Block] = []
+    for segment in segments:
+        if segment.shape[-1] >= stft.num_samples(BLOCK_FRAMES):
+            spectra = stft.transform(segment)[:, band]
+            blocks += _segment_blocks(spectra, stft.frequencies[band])
+    blocks = sorted(blocks, key=lambda block: -block.power)[:MAX_BLOCKS]
+    if not blocks:
+        microphones = segments[0].shape[0] if segments else 0
+        return Cells(np.zeros(0), np.zeros(0, dtype=int), np.zeros((0, microphones), np.complex64))
+    return Cells(
+        np.concatenate([block.frequency for block in blocks]),
+        np.concatenate([np.full(b.frequency.size, index) for index, b in enumerate(blocks)]),
+        np.concatenate([block.vectors for block in blocks]),
+    )
+
+
+def _segment_blocks(spectra: ComplexArray, frequencies: FloatArray) -> list[_Block]:
+    """Blocks of one segment's spectra (N, F, L) with their purest strong cells."""
+    microphones, bins, frames = spectra.shape
+    count = frames // BLOCK_FRAMES
+    blocks = spectra[..., : count * BLOCK_FRAMES].reshape(microphones, bins, count, BLOCK_FRAMES)
+    blocks = np.ascontiguousarray(blocks.transpose(2, 1, 0, 3))  # (blocks, F, N, K)
+    gram = np.conj(np.swapaxes(blocks, -1, -2)) @ blocks  # (blocks, F, K, K)
+    power = np.trace(gram, axis1=-2, axis2=-1).real
+    squared = np.sum(gram.real**2 + gram.imag**2, axis=(-2, -1))
+    pure = squared >= PURITY * np.maximum(power, np.finfo(np.float32).tiny) ** 2
+    strength = np.where(pure, power, 0.0)
+    found = []
+    for index in range(count):
+        chosen = np.argsort(-strength[index])[:BLOCK_CELLS]
+        chosen = chosen[strength[index, chosen] > 0]
+        if chosen.size >= MIN_BLOCK_CELLS:
+            vectors = _principal(blocks[index, chosen], gram[index, chosen])
+            found.append(_Block(float(strength[index].sum()), frequencies[chosen], vectors))
+    return found
+
+
+def _principal(blocks: ComplexArray, gram: ComplexArray) -> ComplexArray:
+    """Phases (C, N) of the principal left singular vectors of blocks (C, N, K)."""
+    _, vectors = np.linalg.eigh(gram)
+    left = (blocks @ vectors[..., -1:])[..., 0]
+    phases: ComplexArray = left / np.maximum(np.abs(left), np.finfo(np.float32).tiny)
+    return phases.astype(np.complex64)

@@ -1,0 +1,145 @@
+"""The diagnostics of one recording, fed block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.doa.array import SPEED_OF_SOUND, MicrophoneArray, pairwise_distances
+from service.doa.diagnostics.bandwidth import bandwidth_findings
+from service.doa.diagnostics.cells import direct_cells
+from service.doa.diagnostics.copies import copied_groups, copy_findings
+from service.doa.diagnostics.excerpt import Excerpt
+from service.doa.diagnostics.finding import Finding
+from service.doa.diagnostics.fit import PlaneWaveFit
+from service.doa.diagnostics.geometry import MIN_MICROPHONES, geometry_findings
+from service.doa.diagnostics.lag import lag_findings, unknown_distances
+from service.doa.diagnostics.levels import (
+    ChannelLevels,
+    LevelMeter,
+    dead_channels,
+    level_findings,
+)
+from service.doa.types import FloatArray
+from service.errors import ChannelMismatch
+
+QUIET = 1e-6
+"""Power of the loudest half second, -60 dBFS: 30 dB above the rounding of 16-bit audio."""
+MAX_APERTURE = 0.5  # m; over larger arrays a talker's waves are no longer plane
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosticReport:
+    """Levels, findings, and whether the order and the delays of the channels could be judged."""
+
+    levels: ChannelLevels
+    findings: tuple[Finding, ...]
+    unchecked: str | None
+    """Why the sound was not compared with the array; None where it was"""
+
+
+class ChannelDiagnostics:
+    """What is wrong with N channels of audio; memory does not grow with the recording.
+
+    Parameters
+    ----------
+    sample_rate : int
+        Hertz.
+    num_channels : int
+    channel_map : sequence of int, optional
+        Recording channel of each of the N channels, for the findings; 0 to N - 1 by default.
+    """
+
+    def __init__(
+        self, sample_rate: int, num_channels: int, channel_map: Sequence[int] | None = None
+    ) -> None:
+        self._sample_rate = sample_rate
+        self._names = tuple(range(num_channels) if channel_map is None else channel_map)
+        self._meter = LevelMeter(num_channels)
+        self._excerpt = Excerpt(sample_rate, num_channels)
+
+    def add(self, block: FloatArray) -> None:
+        """Take the next block of audio (N, T) float32 of any length."""
+        self._excerpt.add(self._meter.add(block))
+
+    def levels(self) -> ChannelLevels:
+        """Levels of everything so far."""
+        return self._meter.levels()
+
+    def findings(self, array: MicrophoneArray | None = None) -> list[Finding]:
+        """Everything that is wrong so far; without an array, geometry is not looked at.
+
+        Raises
+        ------
+        ChannelMismatch
+            If the array has another number of microphones.
+        """
+        return list(self.report(array).findings)
+
+    def report(self, array: MicrophoneArray | None = None) -> DiagnosticReport:
+        """Levels and findings, and why geometry was not judged where it was not."""
+        count = len(self._names)
+        if array is not None and array.num_microphones != count:
+            raise ChannelMismatch(
+                f"{count} channels cannot be compared with the {array.num_microphones} "
+                f"microphones of {array.name}: choose the channels with channel_map"
+            )
+        levels = self.levels()
+        findings = level_findings(levels, self._names)
+        segments = self._excerpt.segments()
+        if self._excerpt.loudest() < QUIET:
+            findings.append(self._quiet())
+            return DiagnosticReport(levels, tuple(findings), "the recording is too quiet")
+        dead = dead_channels(levels)
+        copied = copied_groups(segments, dead)
+        findings += copy_findings(copied, self._names)
+        findings += bandwidth_findings(segments, self._sample_rate)
+        if dead or copied:
+            return DiagnosticReport(levels, tuple(findings), "dead or copied channels come first")
+        more, unchecked = self._delays(segments, array)
+        return DiagnosticReport(levels, (*findings, *more), unchecked)
+
+    def _delays(
+        self, segments: Sequence[FloatArray], array: MicrophoneArray | None
+    ) -> tuple[list[Finding], str | None]:
+        """Findings about delays between channels, and why geometry was not judged."""
+        if array is None:
+            unknown = unknown_distances(len(self._names))
+            late = lag_findings(segments, self._sample_rate, unknown, self._names)
+            return late, "no array was named"
+        distances = pairwise_distances(array.positions)
+        late = lag_findings(segments, self._sample_rate, distances, self._names)
+        fits, unchecked = self._geometry(segments, array)
+        if not late or any(finding.code == "array_scale" for finding in fits):
+            return fits, unchecked
+        # Late channels alone make the order look wrong; a wrong scale makes channels look late.
+        return late, "late channels come first"
+
+    def _geometry(
+        self, segments: Sequence[FloatArray], array: MicrophoneArray
+    ) -> tuple[list[Finding], str | None]:
+        """Findings from the comparison of sound and array, and why there was none."""
+        if array.num_microphones < MIN_MICROPHONES:
+            return [], f"it takes {MIN_MICROPHONES} microphones to tell a mistake from a direction"
+        if array.aperture > MAX_APERTURE:
+            return [], f"the array is larger than {MAX_APERTURE:g} m"
+        # Above two wavelengths across the array the grid of directions is too coarse.
+        limit = 2 * SPEED_OF_SOUND / array.aperture
+        cells = direct_cells(segments, self._sample_rate, limit)
+        if not cells.enough:
+            return [], "there is too little direct sound"
+        fit = PlaneWaveFit(cells, array.positions, self._sample_rate)
+        return geometry_findings(fit, array.positions, self._names), None
+
+    def _quiet(self) -> Finding:
+        power = self._excerpt.loudest()
+        if power == 0.0 and not np.isfinite(self.levels().rms).any():
+            return Finding("quiet", "the recording is silent: check that the right device recorded")
+        level = f"{10 * np.log10(power):.0f} dBFS" if power > 0 else "nothing"
+        return Finding(
+            "quiet",
+            f"the loudest half second has {level}: raise the recording gain or come closer, "
+            f"rounding noise hides directions",
+        )

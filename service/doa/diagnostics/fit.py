@@ -1,0 +1,100 @@
+"""How well plane waves explain the cells, for the geometry as given and for suspected mistakes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.doa.array import SPEED_OF_SOUND
+from service.doa.diagnostics.cells import Cells
+from service.doa.steering import steering_vectors, unit_vectors
+from service.doa.types import ComplexArray, FloatArray
+
+AZIMUTH_STEP = np.deg2rad(5.0)
+ELEVATIONS = np.arccos([1.0, 0.9, 0.75, 0.6])  # even steps of the delays in a level array
+CHUNK = 64  # hypotheses at once: 7 MB of responses
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """One possible mistake; the default is no mistake."""
+
+    order: tuple[int, ...]
+    """Channel of every microphone"""
+    late: tuple[int, ...]
+    """Samples by which every microphone's channel is late"""
+    scale: float = 1.0
+    """Size of the real array against the given one"""
+
+
+class PlaneWaveFit:
+    """Fits one plane wave to every block of cells.
+
+    The fit of a block is the mean over its cells of |u^H a|^2 / N^2 at the best direction: 1 for a
+    plane wave, about 1/N for noise.
+
+    Parameters
+    ----------
+    cells : Cells
+    positions : (N, 3) float
+        Metres.
+    sample_rate : int
+        Hertz; the unit of ``Hypothesis.late``.
+    """
+
+    def __init__(self, cells: Cells, positions: FloatArray, sample_rate: int) -> None:
+        self._cells = cells
+        self._positions = positions
+        self._sample_rate = sample_rate
+        level = bool(np.ptp(positions[:, 2]) < 1e-4)
+        # Below a level array sounds the same as above it.
+        elevation = ELEVATIONS if level else np.concatenate([ELEVATIONS, -ELEVATIONS[1:]])
+        azimuth = np.arange(0, 2 * np.pi - 1e-9, AZIMUTH_STEP)
+        self._azimuth = np.tile(azimuth, elevation.size)
+        self._elevation = np.repeat(elevation, azimuth.size)
+        self._frequencies, self._bin = np.unique(cells.frequency, return_inverse=True)
+        self._counts = np.bincount(cells.block, minlength=cells.num_blocks)
+
+    def scores(self, hypotheses: Sequence[Hypothesis]) -> FloatArray:
+        """Fits (H, B) of hypotheses that share one scale."""
+        chunks = [hypotheses[i : i + CHUNK] for i in range(0, len(hypotheses), CHUNK)]
+        return np.concatenate(
+            [self._responses(chunk).max(axis=-1) / self._counts for chunk in chunks]
+        )
+
+    def agreement(self, order: tuple[int, ...]) -> FloatArray:
+        """(N,) how well each microphone agrees with the others under ``order``, up to 1."""
+        hypothesis = Hypothesis(order, (0,) * len(order))
+        best = self._responses([hypothesis])[0].argmax(axis=-1)[self._cells.block]  # (C,)
+        direction = unit_vectors(self._azimuth[best], self._elevation[best])
+        centred = self._positions - self._positions.mean(axis=0)
+        phase = 2 * np.pi / SPEED_OF_SOUND * self._cells.frequency[:, None] * direction @ centred.T
+        aligned = self._cells.vectors[:, order] * np.exp(-1j * phase)  # (C, N)
+        others = aligned.sum(axis=-1, keepdims=True) - aligned
+        cosine = (aligned * np.conj(others)).real / np.maximum(np.abs(others), 1e-9)
+        agreement: FloatArray = cosine.mean(axis=0)
+        return agreement
+
+    def _responses(self, hypotheses: Sequence[Hypothesis]) -> FloatArray:
+        """(H, B, A) summed responses."""
+        cells, microphones = self._cells, self._positions.shape[0]
+        order = np.array([hypothesis.order for hypothesis in hypotheses])
+        late = np.array([hypothesis.late for hypothesis in hypotheses]) / self._sample_rate
+        steering = self._steering(hypotheses[0].scale)
+        shape = (len(hypotheses), cells.num_blocks, self._azimuth.size)
+        summed = np.zeros(shape, dtype=np.float32)
+        for index, frequency in enumerate(self._frequencies):
+            rows = np.flatnonzero(self._bin == index)  # one cell per block at most
+            undone = np.exp(2j * np.pi * frequency * late).astype(np.complex64)  # (H, N)
+            vectors = cells.vectors[rows][:, order] * undone  # (C, H, N)
+            response = np.conj(vectors).reshape(-1, microphones) @ steering[index]
+            power = (response.real**2 + response.imag**2).reshape(rows.size, len(hypotheses), -1)
+            summed[:, cells.block[rows]] += np.swapaxes(power, 0, 1)
+        return summed / np.float32(microphones**2)
+
+    def _steering(self, scale: float) -> ComplexArray:
+        return steering_vectors(
+            self._positions * scale, self._frequencies, self._azimuth, elevation=self._elevation
+        )

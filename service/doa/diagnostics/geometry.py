@@ -1,0 +1,148 @@
+"""Does the sound fit the array? Wrong orders, late channels and wrong sizes by comparison of fits.
+
+Every hypothesis undoes one mistake. It is believed where plane waves fit the recording's direct
+sounds much better than with the geometry as given, block for block. Reverberation makes all fits
+worse and so costs detections rather than false alarms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.doa.diagnostics.finding import Finding
+from service.doa.diagnostics.fit import Hypothesis, PlaneWaveFit
+from service.doa.diagnostics.orders import best_order, equivalent_orders, suspects
+from service.doa.types import FloatArray
+
+MISFIT_RATIO = 0.9
+"""At most this share of the misfit (1 - fit) may remain: over 120 good simulated rooms and three
+real recordings no wrong hypothesis left less than 0.93."""
+MIN_STATISTIC = 4.0
+"""Mean gain of the blocks over its standard error: good recordings stay below 3."""
+TIE = 1.1  # misfits of late channels that differ by a smaller factor cannot be told apart
+PRIOR = 1.03  # an order wins over a slightly better lag: wrong orders are far more common
+MAX_LATE = 2  # samples; most larger lags are seen by cross-correlation
+SCALES = (1.5, 2.0, 3.0)  # wrong units are refused; these are 48 kHz read as 32, 24 and 16 kHz
+MIN_MICROPHONES = 4  # with three, any lag within the array's size is some direction
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """A hypothesis that explains the sound better than the geometry as given."""
+
+    hypothesis: Hypothesis
+    misfit: float
+    """1 - mean fit"""
+    given: float
+    """The same for the geometry as given"""
+
+
+def geometry_findings(
+    fit: PlaneWaveFit, positions: FloatArray, names: Sequence[int]
+) -> list[Finding]:
+    """The mistake that explains the sound best, if one explains it much better than none.
+
+    Parameters
+    ----------
+    fit : PlaneWaveFit
+    positions : (N, 3) float
+        Metres.
+    names : sequence of int
+        Recording channels of the microphones.
+    """
+    given = tuple(range(len(positions)))
+    none_late = (0,) * len(positions)
+    reference = fit.scores([Hypothesis(given, none_late)])[0]
+    order = best_order(fit, positions)
+    orders = _judge(fit, [order] if order else [], reference)
+    lates = _judge(fit, _late_hypotheses(suspects(fit.agreement(given)), given), reference)
+    scales = [
+        verdict
+        for scale in SCALES
+        for verdict in _judge(fit, [Hypothesis(given, none_late, scale)], reference)
+    ]
+    if not (orders or lates or scales):
+        return []
+    best = min(verdict.misfit for verdict in (*orders, *lates, *scales))
+    if orders and orders[0].misfit < PRIOR * best:
+        return [_order_finding(orders[0], positions, names)]
+    if scales and min(scales, key=_misfit).misfit == best:
+        return [_scale_finding(min(scales, key=_misfit))]
+    ties = sorted((verdict for verdict in lates if verdict.misfit < TIE * best), key=_misfit)
+    return [_late_finding(ties, names)]
+
+
+def _misfit(verdict: Verdict) -> float:
+    return verdict.misfit
+
+
+def _late_hypotheses(late: Sequence[int], order: tuple[int, ...]) -> list[Hypothesis]:
+    shifts = (*range(-MAX_LATE, 0), *range(1, MAX_LATE + 1))
+    return [
+        Hypothesis(order, tuple(shift if n == index else 0 for n in order))
+        for index in late
+        for shift in shifts
+    ]
+
+
+def _judge(
+    fit: PlaneWaveFit, hypotheses: Sequence[Hypothesis], reference: FloatArray
+) -> list[Verdict]:
+    """Verdicts on the hypotheses that beat the fits ``reference`` (B,) clearly."""
+    if not hypotheses:
+        return []
+    given = max(1.0 - float(reference.mean()), 1e-6)
+    verdicts = []
+    for hypothesis, score in zip(hypotheses, fit.scores(hypotheses), strict=True):
+        gain = score - reference
+        error = float(gain.std()) / np.sqrt(gain.size)
+        misfit = 1.0 - float(score.mean())
+        if misfit < MISFIT_RATIO * given and float(gain.mean()) > MIN_STATISTIC * error:
+            verdicts.append(Verdict(hypothesis, misfit, given))
+    return verdicts
+
+
+def _order_finding(verdict: Verdict, positions: FloatArray, names: Sequence[int]) -> Finding:
+    order = verdict.hypothesis.order
+    maps = [
+        str([names[channel] for channel in other])
+        for other in equivalent_orders(positions, order)[:2]
+    ]
+    moved = tuple(names[channel] for index, channel in enumerate(order) if index != channel)
+    detail = (
+        f"the sound fits the array much better with its channels in another order "
+        f"({_misfits(verdict)}): try channel_map {' or '.join(maps)}; an order that turns or "
+        f"mirrors the whole array fits as well, so check one known direction"
+    )
+    return Finding("channel_order", detail, moved)
+
+
+def _late_finding(ties: Sequence[Verdict], names: Sequence[int]) -> Finding:
+    channels, phrases = [], []
+    for verdict in ties:
+        index = int(np.flatnonzero(verdict.hypothesis.late)[0])
+        shift = verdict.hypothesis.late[index]
+        channels.append(names[index])
+        samples = "1 sample" if abs(shift) == 1 else f"{abs(shift)} samples"
+        phrases.append(f"channel {names[index]} is {samples} {'late' if shift > 0 else 'early'}")
+    detail = (
+        f"{', or '.join(phrases)} against the other channels ({_misfits(ties[0])}): align the "
+        f"channels, all of them must be captured by one device on one clock"
+    )
+    return Finding("channel_late", detail, tuple(dict.fromkeys(channels)))
+
+
+def _scale_finding(verdict: Verdict) -> Finding:
+    detail = (
+        f"the delays between the channels fit an array about {verdict.hypothesis.scale:g} times "
+        f"as large as the given one ({_misfits(verdict)}): check the positions, and that the file "
+        f"names its true sample rate"
+    )
+    return Finding("array_scale", detail)
+
+
+def _misfits(verdict: Verdict) -> str:
+    return f"misfit {verdict.misfit:.3f} instead of {verdict.given:.3f}"

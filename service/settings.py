@@ -1,0 +1,141 @@
+"""Every setting of the service: its unit, its default, its environment variable.
+
+A flag wins over the environment (``NEURALMUSIC_PORT`` for ``port``), which wins over the default.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError, field_validator
+from pydantic_core import ErrorDetails
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+
+from service.errors import ConfigError
+
+PREFIX = "NEURALMUSIC_"
+
+LogLevel = Literal["critical", "error", "warning", "info", "debug"]
+
+
+def usable_cpus() -> int:
+    """CPUs that this process may use: its affinity, and a container's quota."""
+    try:
+        count = len(os.sched_getaffinity(0))
+    except AttributeError:  # not Linux
+        count = os.cpu_count() or 1
+    try:
+        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()
+        count = min(count, math.ceil(int(quota) / int(period)))
+    except (OSError, ValueError):  # no cgroup v2, or a quota of "max"
+        pass
+    return max(count, 1)
+
+
+class Settings(BaseSettings):
+    """How one process of the service runs."""
+
+    model_config = SettingsConfigDict(
+        env_prefix=PREFIX,
+        env_ignore_empty=True,
+        extra="forbid",
+        frozen=True,
+        use_attribute_docstrings=True,
+    )
+
+    host: str = "127.0.0.1"
+    """Address to listen on; 0.0.0.0 or :: for all"""
+    port: int = Field(8000, ge=0, le=65535)
+    """TCP port; 0 takes a free one"""
+    models: Annotated[tuple[Path, ...], NoDecode] = ()
+    """Folders of further model bundles, separated as in PATH"""
+    default_model: str | None = None
+    """Model of requests that name none, where it fits their array; otherwise the first that fits"""
+    workers: int = Field(default_factory=usable_cpus, ge=1, le=256)
+    """Recordings that are localized at the same time; by default the usable CPUs"""
+    threads: int = Field(1, ge=1, le=64)
+    """onnxruntime threads of each worker"""
+    queue: int = Field(16, ge=0, le=10_000)
+    """Requests that may wait for a worker; further ones get 503"""
+    max_upload_bytes: int = Field(512 * 2**20, ge=1024)
+    """Largest request body in bytes"""
+    max_seconds: float = Field(3600.0, gt=0, le=86_400)
+    """Longest recording in seconds"""
+    max_channels: int = Field(64, ge=2, le=1024)
+    """Most channels of a recording"""
+    log_level: LogLevel = "info"
+    """Least severe messages that are logged"""
+
+    @field_validator("models", mode="before")
+    @classmethod
+    def _split_path(cls, value: object) -> object:
+        return tuple(filter(None, value.split(os.pathsep))) if isinstance(value, str) else value
+
+
+def load_settings(**overrides: Any) -> Settings:
+    """Settings from flags, then the environment, then the defaults; None is a flag not given.
+
+    Raises
+    ------
+    ConfigError
+        If a value is out of range, or a ``NEURALMUSIC_`` variable or a flag is unknown.
+    """
+    given = {name: value for name, value in overrides.items() if value is not None}
+    _refuse_unknown(os.environ)
+    try:
+        return Settings(**given)
+    except ValidationError as error:
+        raise ConfigError("; ".join(map(_sentence, error.errors()))) from None
+
+
+def variable(name: str) -> str:
+    """The environment variable of a setting."""
+    return PREFIX + name.upper()
+
+
+def _refuse_unknown(environment: Mapping[str, str]) -> None:
+    for name, value in environment.items():
+        if not name.upper().startswith(PREFIX):
+            continue
+        if value.startswith(("tcp://", "udp://")) or name.startswith(PREFIX + "SERVICE_"):
+            raise ConfigError(
+                f"Kubernetes set {name} for a Service called neuralmusic: "
+                "set enableServiceLinks: false in the pod"
+            )
+        field = name.upper().removeprefix(PREFIX).lower()
+        if field not in Settings.model_fields:
+            raise ConfigError(f"unknown variable {name}: {_closest(field, variable)}")
+
+
+def _closest(name: str, spell: Callable[[str], str]) -> str:
+    """A suggestion for a setting that there is not, spelt as a variable or a flag."""
+    known = list(Settings.model_fields)
+    close = get_close_matches(name, known, n=1)
+    if close:
+        return f"did you mean {spell(close[0])}?"
+    return f"there are {', '.join(map(spell, known))}"
+
+
+_RULES = {
+    "greater_than": "must be greater than {gt:g}",
+    "greater_than_equal": "must be at least {ge}",
+    "less_than_equal": "must be at most {le:g}",
+    "literal_error": "must be one of {expected}",
+    "int_parsing": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "float_parsing": "must be a number",
+}
+
+
+def _sentence(error: ErrorDetails) -> str:
+    name = str(error["loc"][0])
+    if error["type"] == "extra_forbidden":
+        return f"unknown setting {name}: {_closest(name, str)}"
+    rule = _RULES.get(error["type"])
+    said = rule.format(**error.get("ctx", {})) if rule else error["msg"]
+    return f"{name} {said}, but is {error['input']!r} (flag or {variable(name)})"
