@@ -50,7 +50,7 @@ class TrainingConfig:
     @classmethod
     def from_dict(cls, fields: dict[str, Any]) -> TrainingConfig:
         """The configuration that ``as_dict`` wrote, also after a round trip through JSON."""
-        scenes = {
+        scenes: dict[str, Any] = {
             key: tuple(value) if isinstance(value, list) else value
             for key, value in fields["scenes"].items()
         }

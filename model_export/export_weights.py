@@ -66,9 +66,9 @@ def export_weights(
         covariance_graph(pipeline),
         count_graph(source_count),
         {
-            "floor": np.float32(analysis.floor),
-            "dominance_power": np.float32(analysis.dominance_power),
-            "window_share": np.float32(analysis.window_share),
+            "floor": np.array(analysis.floor, np.float32),
+            "dominance_power": np.array(analysis.dominance_power, np.float32),
+            "window_share": np.array(analysis.window_share, np.float32),
         },
         list(reference_spectra(pipeline, windows, array)),
         windows,

@@ -141,7 +141,7 @@ def place_sources(
         azimuth = rng.uniform(0, 2 * np.pi)
         elevation = 0.0 if rng.random() < 0.4 else np.deg2rad(rng.uniform(-20, 50))
         distance = rng.uniform(0.5, 3.0)
-        source = distance * unit_vectors(np.float64(azimuth), float(elevation))
+        source = distance * unit_vectors(np.array(azimuth), float(elevation))
         if (source > low).all() and (source < high).all():
             sources.append(source)
             angles.append((azimuth, elevation, distance))

@@ -103,9 +103,9 @@ def dry_speech(rng: np.random.Generator, speech: Sequence[FloatArray], start: in
     reverberant sentence; the others a lone word, whose onset is heard in a quiet room.
     """
     dry = np.zeros(DRY_SAMPLES, dtype=np.float32)
-    clip = speech[rng.integers(len(speech))]
+    clip = speech[int(rng.integers(len(speech)))]
     if len(clip) > DRY_SAMPLES:
-        offset = rng.integers(len(clip) - DRY_SAMPLES)
+        offset = int(rng.integers(len(clip) - DRY_SAMPLES))
         return clip[offset : offset + DRY_SAMPLES]
     if rng.random() < 0.5:
         offset = int(rng.integers(0, len(clip)))

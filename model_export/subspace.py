@@ -54,7 +54,7 @@ def signal_projector(covariance: Tensor, num_sources: int) -> Tensor:
         Its gradient with respect to R, for an upstream Hermitian G, is
         Un [(Un^H G Us) / (lambda_s - lambda_n)] Us^H plus its conjugate transpose.
     """
-    projector: Tensor = _SignalProjector.apply(covariance, num_sources)  # type: ignore[no-untyped-call]
+    projector: Tensor = _SignalProjector.apply(covariance, num_sources)
     return projector
 
 

@@ -14,9 +14,9 @@ from torch import Tensor, nn
 
 from model_export.subspace import dominance, signal_power, signal_projector
 from service.doa.features import NUM_FEATURES
+from service.inference.weights import BLOCK_FRAMES, CELL_LOADING
 
 FREQUENCY_STRIDE = 4
-BLOCK_FRAMES = 8
 
 
 class WeightsNetwork(nn.Module):
@@ -128,5 +128,5 @@ def block_covariances(spectra: Tensor, weights: Tensor) -> Tensor:
     scaled = spectra * (weights / power).sqrt()[:, None]
     blocks = scaled.permute(0, 2, 3, 1).unflatten(2, (-1, BLOCK_FRAMES))  # (B, F, K, 8, N)
     covariance = blocks.transpose(-1, -2) @ blocks.conj()
-    loading = 1e-6 * torch.eye(covariance.shape[-1], dtype=covariance.dtype)
+    loading = CELL_LOADING * torch.eye(covariance.shape[-1], dtype=covariance.dtype)
     return covariance + loading

@@ -34,8 +34,8 @@ BLOCK_SECONDS = 2
 MAX_BLOCK_SAMPLES = 4 * 2**20
 """Of all channels together, so that a block of many channels at a high rate stays at 16 MiB"""
 
-MAX_AMPLITUDE = 1e10
-"""Above 32-bit integers kept as floats; far below where float32 powers overflow"""
+MAX_AMPLITUDE = 1e7
+"""Above 24-bit integers kept as floats; below where the fourth power overflows in float32"""
 
 UNKNOWN_FRAMES = 2**62
 """libsndfile's length of a stream that does not say its own is 2^63 - 1"""

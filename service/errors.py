@@ -14,7 +14,7 @@ DoaError
 ├─ BundleError
 │  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed
 └─ CapacityError
-   └─ Overloaded · NotReady
+   └─ Overloaded · NotReady · Draining
 """
 
 from __future__ import annotations
@@ -223,3 +223,9 @@ class NotReady(CapacityError):
     """The models are not loaded yet."""
 
     code, title = "not_ready", "Not ready"
+
+
+class Draining(CapacityError):
+    """The service is shutting down."""
+
+    code, title = "draining", "Shutting down"

@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 from collections.abc import Callable
 
 import uvicorn
 
+from service.api.workers import WorkerPool
 from service.app import create_app, load_registry
 from service.settings import Settings
 
 GRACE = 10
 """Seconds that running requests get to finish after SIGTERM"""
+FAREWELL = 5
+"""Seconds beyond, in which those that did not are told so"""
 
 
 class Server(uvicorn.Server):
-    """uvicorn that tells its address once it accepts connections."""
+    """uvicorn that tells its address once it listens, and tells clients when it stops."""
 
-    def __init__(self, config: uvicorn.Config, announce: Callable[[str], None] | None) -> None:
+    def __init__(
+        self,
+        config: uvicorn.Config,
+        workers: WorkerPool,
+        announce: Callable[[str], None] | None = None,
+    ) -> None:
         super().__init__(config)
+        self._workers = workers
         self._announce = announce
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -26,6 +36,10 @@ class Server(uvicorn.Server):
         if self._announce and self.started:
             host, port = self.servers[0].sockets[0].getsockname()[:2]
             self._announce(f"http://{f'[{host}]' if ':' in host else host}:{port}")
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        asyncio.get_running_loop().call_later(GRACE, self._workers.stop)
+        await super().shutdown(sockets)
 
 
 def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> None:
@@ -43,7 +57,7 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
         port=settings.port,
         log_level=settings.log_level,
         server_header=False,
-        timeout_graceful_shutdown=GRACE,
+        timeout_graceful_shutdown=GRACE + FAREWELL,
         ws="none",
     )
-    Server(config, announce).run()
+    Server(config, app.state.service.workers, announce).run()

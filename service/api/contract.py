@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from service.api.options import OPTIONS
+from service.api.options import OPTIONS, Option
 from service.errors import (
     AudioTooLong,
     ChannelMismatch,
     DoaError,
+    Draining,
     EmptyAudio,
     GeometryMismatch,
     InvalidChannelMap,
@@ -54,6 +55,7 @@ LOCALIZE_ERRORS: tuple[type[DoaError], ...] = (
     TooManySources,
     Overloaded,
     NotReady,
+    Draining,
     DoaError,
 )
 
@@ -94,14 +96,8 @@ _BINARY = {"schema": {"type": "string", "format": "binary"}}
 def localize_operation() -> dict[str, Any]:
     """Parameters and request bodies of ``POST /localize``."""
     parameters = [
-        {
-            "name": name,
-            "in": "query",
-            "required": False,  # it may be a form field instead
-            "description": option.description,
-            "schema": dict(option.schema),
-            **({"example": option.example} if option.example is not None else {}),
-        }
+        # None is required: it may be a form field instead.
+        {"name": name, "in": "query", "required": False, **_described(option)}
         for name, option in OPTIONS.items()
     ]
     return {"parameters": parameters, "requestBody": _request_body()}
@@ -116,7 +112,8 @@ def _request_body() -> dict[str, Any]:
         }
     }
     for name, option in OPTIONS.items():
-        fields[name] = {**option.schema, "description": option.description}
+        described = _described(option)
+        fields[name] = {**described["schema"], "description": described["description"]}
     return {
         "required": True,
         "description": "The recording as a form's file `audio` with options beside it, or as the "
@@ -129,3 +126,10 @@ def _request_body() -> dict[str, Any]:
             "application/octet-stream": _BINARY,
         },
     }
+
+
+def _described(option: Option) -> dict[str, Any]:
+    schema = dict(option.schema)
+    if option.example is not None:
+        schema["examples"] = [option.example]
+    return {"description": option.description, "schema": schema}

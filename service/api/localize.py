@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import BinaryIO
 
@@ -14,7 +13,7 @@ from service.api.problems import problem_responses
 from service.api.schemas import LocalizationAnswer
 from service.api.state import ServiceState, state_of
 from service.api.upload import read_upload
-from service.api.workers import stop_when_gone
+from service.api.workers import Progress
 from service.audio import Recording
 from service.errors import InvalidOption
 from service.inference.recording import localize_recording
@@ -51,13 +50,14 @@ async def localize(request: Request) -> Response:
     state.workers.check()
     async with read_upload(request) as upload:
         asked = read_options(upload.options)
-        progress = stop_when_gone(request)
-        body = await state.workers.run(lambda: _answer(upload.file, asked, state, progress))
+        body = await state.workers.run(
+            request, lambda progress: _answer(upload.file, asked, state, progress)
+        )
     return Response(body, media_type="application/json")
 
 
 def _answer(
-    file: BinaryIO, asked: LocalizeRequest, state: ServiceState, progress: Callable[[float], None]
+    file: BinaryIO, asked: LocalizeRequest, state: ServiceState, progress: Progress
 ) -> bytes:
     """The answer's JSON; everything that takes time is in here, in a worker thread."""
     registry = state.models()

@@ -45,7 +45,7 @@ class Option:
     """Raises ValueError with the rest of a sentence that begins with the option's name"""
     schema: Mapping[str, Any]
     description: str
-    example: Any = None
+    example: str | None = None
 
 
 def number(low: float, high: float, default: float, description: str) -> Option:

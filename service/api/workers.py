@@ -10,9 +10,10 @@ import anyio.from_thread
 import anyio.to_thread
 from starlette.requests import ClientDisconnect, Request
 
-from service.errors import Overloaded
+from service.errors import Draining, Overloaded
 
 T = TypeVar("T")
+Progress = Callable[[float], None]
 
 
 class WorkerPool:
@@ -22,32 +23,39 @@ class WorkerPool:
         self._limiter = anyio.CapacityLimiter(workers)
         self._capacity = workers + queue
         self._admitted = 0
+        self._stopping = False
 
     def check(self) -> None:
-        """Raise Overloaded where one more call would be refused."""
+        """Raise Draining or Overloaded where one more call would be refused."""
+        self._check_stopping()
         if self._admitted >= self._capacity:
             raise Overloaded(
                 f"{self._admitted} recordings are being localized or wait for it: try again later"
             )
 
-    async def run(self, work: Callable[[], T]) -> T:
-        """Call ``work`` in a thread, once a worker is free."""
+    async def run(self, request: Request, work: Callable[[Progress], T]) -> T:
+        """Call ``work`` in a thread, once a worker is free.
+
+        ``work`` gets a progress callback, which ends it once nobody waits for it any more: a robot
+        that times out and retries would otherwise pile up work.
+        """
+
+        def progress(share: float) -> None:
+            self._check_stopping()
+            if anyio.from_thread.run(request.is_disconnected):
+                raise ClientDisconnect
+
         self.check()
         self._admitted += 1
         try:
-            return await anyio.to_thread.run_sync(work, limiter=self._limiter)
+            return await anyio.to_thread.run_sync(work, progress, limiter=self._limiter)
         finally:
             self._admitted -= 1
 
+    def stop(self) -> None:
+        """End running calls at their next progress, and refuse new ones."""
+        self._stopping = True
 
-def stop_when_gone(request: Request) -> Callable[[float], None]:
-    """A progress callback for a worker thread that raises once the client has hung up.
-
-    A robot that times out and retries would otherwise pile up work that nobody waits for.
-    """
-
-    def progress(share: float) -> None:
-        if anyio.from_thread.run(request.is_disconnected):
-            raise ClientDisconnect
-
-    return progress
+    def _check_stopping(self) -> None:
+        if self._stopping:
+            raise Draining("the service is shutting down: try again in a moment")

@@ -17,8 +17,10 @@ BAND = (300.0, 3500.0)
 """Hertz: below it small arrays see no delay, above it speech is weak and delays are ambiguous"""
 RELATIVE_HEIGHT = 0.6
 """Of the highest peak above the spectrum's mean: lower ones are no sources of their own"""
-LEAST_CONTRAST = 0.35
-"""1 - mean / peak of the spectrum: noise without a direction stays below"""
+LEAST_CONTRAST = {"norm_music": 0.32, "music": 0.32, "srp_phat": 0.24}
+"""1 - mean / peak of the spectrum: white and diffuse noise stay below, most talkers do not"""
+LEAST_RESPONSE = 0.03
+"""SRP-PHAT's highest steered response, 1 for a plane wave: white noise stays below 0.02"""
 
 
 class ClassicalLocalizer:
@@ -39,7 +41,8 @@ class ClassicalLocalizer:
         spectra = self._stft.transform(windows)[..., self._band, :]
         dimension = min(num_sources or 1, self._most_sources)
         return [
-            _pick(self.spectrum(window, dimension), num_sources, max_sources) for window in spectra
+            self._pick(self.spectrum(window, dimension), num_sources, max_sources)
+            for window in spectra
         ]
 
     def spectrum(self, spectra: ComplexArray, num_sources: int) -> FloatArray:
@@ -50,18 +53,22 @@ class ClassicalLocalizer:
         method = classical.music if self._method == "music" else classical.norm_music
         return method(covariance, self._steering, num_sources)
 
-
-def _pick(spectrum: FloatArray, num_sources: int | None, max_sources: int) -> WindowEstimate:
-    highest = float(spectrum.max())
-    scaled = spectrum / np.float32(highest) if highest > 0 else spectrum
-    peaks = find_peaks(scaled, num_sources or max_sources)
-    mean = float(scaled.mean())
-    contrast = 1 - mean
-    if num_sources is None:
-        level = mean + RELATIVE_HEIGHT * contrast
-        peaks = [p for p in peaks if p.height >= level and contrast >= LEAST_CONTRAST]
-    sources = tuple(
-        Source(peak.azimuth, float(np.clip((peak.height - mean) / max(peak.height, 1e-9), 0, 1)))
-        for peak in peaks
-    )
-    return WindowEstimate(sources, scaled)
+    def _pick(
+        self, spectrum: FloatArray, num_sources: int | None, max_sources: int
+    ) -> WindowEstimate:
+        """The known number of peaks, or all that stand out if the spectrum has a direction."""
+        highest = float(spectrum.max())
+        scaled = spectrum / np.float32(highest) if highest > 0 else spectrum
+        peaks = find_peaks(scaled, num_sources or max_sources)
+        mean = float(scaled.mean())
+        if num_sources is None:
+            directed = 1 - mean >= LEAST_CONTRAST[self._method]
+            if self._method == "srp_phat":
+                directed = directed and highest >= LEAST_RESPONSE
+            level = mean + RELATIVE_HEIGHT * (1 - mean)
+            peaks = [peak for peak in peaks if directed and peak.height >= level]
+        sources = tuple(
+            Source(peak.azimuth, float(np.clip(1 - mean / max(peak.height, 1e-9), 0, 1)))
+            for peak in peaks
+        )
+        return WindowEstimate(sources, scaled)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.doa.array import MicrophoneArray
-from service.doa.covariance import weighted_covariance
+from service.doa.covariance import diagonal_loading, weighted_covariance
 from service.doa.features import coherence_features
 from service.doa.fusion import normalise
 from service.doa.steering import azimuth_grid, steering_vectors
@@ -20,6 +20,8 @@ from service.inference.engine import Engine
 from service.inference.results import Source, WindowEstimate
 
 BLOCK_FRAMES = 8
+CELL_LOADING = 1e-6
+"""Of the frames' unit power: blocks that the network all but drops lose their dominance"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +114,7 @@ def cell_covariances(spectra: ComplexArray, weights: FloatArray) -> ComplexArray
     Blocks tell talkers apart; the whole window, their sum, averages most of the noise.
     ``spectra`` (N, F, L) and ``weights`` (F, L) give (F, K, N, N) complex64.
     """
-    blocks = weighted_covariance(spectra, weights, BLOCK_FRAMES)
+    blocks = diagonal_loading(weighted_covariance(spectra, weights, BLOCK_FRAMES), CELL_LOADING)
     return np.concatenate([blocks, blocks.sum(axis=1, keepdims=True)], axis=1)
 
 

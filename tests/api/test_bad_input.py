@@ -283,7 +283,7 @@ def test_a_large_length_is_refused_on_every_path(client: Any) -> None:
 
 
 @pytest.mark.parametrize("method", ["neural", "norm_music", "music", "srp_phat"])
-@pytest.mark.parametrize("scale", [1e9, 1e-20, 1e-44])
+@pytest.mark.parametrize("scale", [1e7, 1e-20, 1e-44])
 def test_extreme_but_finite_samples_are_no_server_error(
     localize: Any, sounds: Any, method: str, scale: float
 ) -> None:

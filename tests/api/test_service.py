@@ -88,6 +88,27 @@ def test_a_worker_is_free_again_after_a_failure(sounds: Any, gate: Gate) -> None
             assert response.json()["code"] == "bundle_not_found"
 
 
+def test_a_stopping_service_ends_what_runs_and_refuses_what_comes(
+    sounds: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    app = small_app()
+
+    def localize(recording: Any, options: Any, registry: Any, progress: Any) -> None:
+        app.state.service.workers.stop()
+        progress(0.5)
+        pytest.fail("nothing ended the work")
+
+    monkeypatch.setattr("service.api.localize.localize_recording", localize)
+    with TestClient(app) as client:
+        for _ in range(2):
+            response = client.post(
+                "/localize", params={"array": ARRAY}, content=sounds.wav(), headers=HEADERS
+            )
+            assert response.status_code == 503
+            assert response.json()["code"] == "draining"
+            assert "retry-after" in response.headers
+
+
 def test_the_service_is_alive_but_not_ready_before_its_models_are_loaded() -> None:
     client = TestClient(create_app(Settings()))  # without its lifespan
     assert client.get("/livez").status_code == 200

@@ -1,4 +1,4 @@
-"""Time-frequency cells in which one direct sound is heard: the evidence of the geometry.
+"""Time-frequency cells in which one direct sound begins: the evidence of the geometry.
 
 Over a few frames a cell of one source has a channel vector that keeps its direction, so that the
 block of vectors X (N, K) has rank one. That is read from the K x K Gram matrix X^H X, which shares
@@ -18,8 +18,11 @@ from service.doa.types import ComplexArray, FloatArray, IntArray
 FRAME_S = 0.032
 MIN_FREQUENCY = 300.0  # Hz; below, neighbouring microphones of small arrays hear the same phase
 MAX_FREQUENCY = 4000.0  # Hz; above, speech is weak and positions are known too coarsely
-BLOCK_FRAMES = 5  # 96 ms: a syllable; noise rarely keeps its direction that long
-PURITY = 0.66  # sum of squared eigenvalues over squared sum; 1 is one source, 1/5 is noise
+BLOCK_FRAMES = 3  # 64 ms: an onset, before many reflections have arrived
+PURITY = 0.66  # sum of squared eigenvalues over squared sum: 1 for one source, 1/3 for noise
+ONSET = 3.0
+"""Power over that of the block before: what has just begun is heard directly, what goes on is mixed
+with its reflections. It takes away most of what reverberation does to the fits."""
 MAX_BLOCKS = 100
 BLOCK_CELLS = 24
 MIN_BLOCK_CELLS = 6  # fewer cells than this fit nearly any direction
@@ -91,7 +94,7 @@ def direct_cells(segments: Sequence[FloatArray], sample_rate: int, max_frequency
 
 
 def _segment_blocks(spectra: ComplexArray, frequencies: FloatArray) -> list[_Block]:
-    """Blocks of one segment's spectra (N, F, L) with their purest strong cells."""
+    """Blocks of one segment's spectra (N, F, L) with their strongest onsets."""
     microphones, bins, frames = spectra.shape
     count = frames // BLOCK_FRAMES
     blocks = spectra[..., : count * BLOCK_FRAMES].reshape(microphones, bins, count, BLOCK_FRAMES)
@@ -100,9 +103,11 @@ def _segment_blocks(spectra: ComplexArray, frequencies: FloatArray) -> list[_Blo
     power = np.trace(gram, axis1=-2, axis2=-1).real
     squared = np.sum(gram.real**2 + gram.imag**2, axis=(-2, -1))
     pure = squared >= PURITY * np.maximum(power, np.finfo(np.float32).tiny) ** 2
-    strength = np.where(pure, power, 0.0)
+    begins = np.zeros_like(pure)
+    begins[1:] = power[1:] > ONSET * power[:-1]
+    strength = np.where(pure & begins, power, 0.0)
     found = []
-    for index in range(count):
+    for index in range(1, count):
         chosen = np.argsort(-strength[index])[:BLOCK_CELLS]
         chosen = chosen[strength[index, chosen] > 0]
         if chosen.size >= MIN_BLOCK_CELLS:

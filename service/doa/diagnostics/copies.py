@@ -10,9 +10,10 @@ from service.doa.diagnostics.finding import Finding, channel_list
 from service.doa.types import FloatArray
 
 COPY_RESIDUAL = 3e-4
-"""1 - correlation^2 of a copy, -35 dB: a gain on quiet 16-bit audio leaves a third as
-much rounding, and the two microphones most alike of 120 simulated rooms have thirty times as
-much."""
+"""1 - correlation^2 of a copy, -35 dB: a gain on quiet 16-bit audio leaves a third as much."""
+ROUNDING = 2 / 32768
+"""RMS of what rounding leaves between a channel and its copy, in steps of 16-bit audio; noises of
+two microphones differ by more, also where a sound reaches both at the same time."""
 
 
 def copied_groups(segments: Sequence[FloatArray], ignored: Sequence[int]) -> list[tuple[int, ...]]:
@@ -35,11 +36,13 @@ def copied_groups(segments: Sequence[FloatArray], ignored: Sequence[int]) -> lis
     gram = steps.astype(np.float64) @ steps.T.astype(np.float64)
     power = np.maximum(np.diag(gram), np.finfo(np.float64).tiny)
     residual = 1.0 - gram**2 / (power[:, None] * power[None, :])
+    rest = residual * np.minimum(power[:, None], power[None, :]) / steps.shape[-1]
+    copies = (residual < COPY_RESIDUAL) & (rest < ROUNDING**2)
     groups: list[tuple[int, ...]] = []
     free = [index for index in range(power.size) if index not in ignored]
     while free:
         first, *others = free
-        group = [first, *(other for other in others if residual[first, other] < COPY_RESIDUAL)]
+        group = [first, *(other for other in others if copies[first, other])]
         if len(group) > 1:
             groups.append(tuple(group))
         free = [index for index in others if index not in group]

@@ -18,10 +18,10 @@ from service.doa.diagnostics.orders import best_order, equivalent_orders, suspec
 from service.doa.types import FloatArray
 
 MISFIT_RATIO = 0.9
-"""At most this share of the misfit (1 - fit) may remain: over 120 good simulated rooms and three
+"""At most this share of the misfit (1 - fit) may remain: over 240 good simulated rooms and three
 real recordings no wrong hypothesis left less than 0.93."""
-MIN_STATISTIC = 4.0
-"""Mean gain of the blocks over its standard error: good recordings stay below 3."""
+MIN_STATISTIC = 3.5
+"""Mean gain of the blocks over its standard error: the same recordings stay below 2.9."""
 TIE = 1.1  # misfits of late channels that differ by a smaller factor cannot be told apart
 PRIOR = 1.03  # an order wins over a slightly better lag: wrong orders are far more common
 MAX_LATE = 2  # samples; most larger lags are seen by cross-correlation

@@ -1,0 +1,92 @@
+"""Arguments that commands share: the recording, its array and its channel map."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from service.errors import ChannelMismatch, InvalidOption
+
+if TYPE_CHECKING:
+    from service.audio import Recording
+    from service.doa.array import MicrophoneArray
+
+MAX_SECONDS = 86_400.0  # the limits of the service protect others; this is the user's own machine
+MAX_CHANNELS = 256
+
+
+def add_recording(parser: argparse.ArgumentParser) -> None:
+    """The positional FILE and ``--channel-map``."""
+    parser.add_argument("file", type=Path, metavar="FILE", help="a multichannel WAV or FLAC file")
+    parser.add_argument(
+        "--channel-map",
+        metavar="0,1,...",
+        help="the file's channel of every microphone, from 0, where the file has more channels",
+    )
+
+
+def open_recording(path: Path) -> Recording:
+    """Open a file with generous limits."""
+    from service.audio import AudioLimits, Recording
+
+    return Recording.open(path, AudioLimits(max_channels=MAX_CHANNELS, max_seconds=MAX_SECONDS))
+
+
+def array_text(argument: str) -> str:
+    """The array as the HTTP interface takes it; ``@geometry.json`` is the file's content."""
+    if not argument.startswith("@"):
+        return argument
+    try:
+        return Path(argument[1:]).read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise InvalidOption(f"{argument[1:]} is no text file: give JSON with positions_m") from None
+
+
+def read_array(argument: str) -> MicrophoneArray:
+    """The array of ``--array``: a preset's name, JSON or ``@file.json``."""
+    from service.api import geometry
+
+    text = array_text(argument).strip()
+    if not text:
+        raise InvalidOption("array is empty: give a preset's name, JSON or @file.json")
+    return geometry.read_array(text)
+
+
+def choose_channels(
+    recording: Recording, array: MicrophoneArray | None, channel_map: str | None
+) -> tuple[int, ...]:
+    """The file's channels that are microphones.
+
+    They are those of ``--channel-map``, or all, or what the preset's firmware is known to deliver.
+
+    Raises
+    ------
+    ChannelMismatch
+        If the file's channels do not fit the array or the map.
+    """
+    from service.api.geometry import read_channel_map
+    from service.doa.array import validate_channel_map
+    from service.doa.presets import RAW_CHANNELS
+
+    if channel_map is not None:
+        try:
+            chosen = read_channel_map(channel_map)
+        except ValueError as error:
+            raise InvalidOption(f"channel_map {error}") from None
+        validate_channel_map(chosen, array.num_microphones if array else len(chosen))
+        if max(chosen) >= recording.channels:
+            raise ChannelMismatch(
+                f"channel_map names channel {max(chosen)}, but the file has {recording.channels} "
+                f"channels, 0 to {recording.channels - 1}"
+            )
+        return chosen
+    if array is None or array.num_microphones == recording.channels:
+        return tuple(range(recording.channels))
+    raw = RAW_CHANNELS.get(array.name, {}).get(recording.channels)
+    if raw is None:
+        raise ChannelMismatch(
+            f"the file has {recording.channels} channels, but {array.name} has "
+            f"{array.num_microphones} microphones: name their channels with --channel-map"
+        )
+    return raw

@@ -1,0 +1,130 @@
+"""Bundles are verified before they serve: hashes, contract, golden self-test."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.doa.presets import preset
+from service.errors import (
+    BundleCorrupt,
+    BundleIncompatible,
+    BundleNotFound,
+    GeometryMismatch,
+    SelfTestFailed,
+    UnknownModel,
+)
+from service.inference.bundle import FILES, file_sha256, load_bundle
+from service.inference.registry import EMBEDDED_MODELS, BundleRegistry, bundle_folders, self_test
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (embedded, *_) = bundle_folders(EMBEDDED_MODELS)
+    return Path(shutil.copytree(embedded, tmp_path / "copy"))
+
+
+def edit(folder: Path, change: Callable[[dict], object]) -> None:
+    path = folder / "bundle.json"
+    fields = json.loads(path.read_text())
+    change(fields)
+    path.write_text(json.dumps(fields))
+
+
+def test_the_embedded_bundles_load_and_pass_their_self_test() -> None:
+    registry = BundleRegistry.load()
+    assert [bundle.manifest.name for bundle in registry.bundles] == ["any-array"]
+    scores = registry.bundles[0].manifest.scores["cells"]
+    assert scores["M=1, order 4, 30 dB"]["median_error_deg"] <= 2.0
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_changed_file_is_noticed(folder: Path, name: str) -> None:
+    content = bytearray((folder / name).read_bytes())
+    content[len(content) // 2] ^= 1
+    (folder / name).write_bytes(content)
+    with pytest.raises(BundleCorrupt, match=f"{name} differs from its hash"):
+        load_bundle(folder)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_missing_file_is_named(folder: Path, name: str) -> None:
+    (folder / name).unlink()
+    with pytest.raises(BundleCorrupt, match=f"lacks {name}"):
+        load_bundle(folder)
+
+
+def test_no_bundle(tmp_path: Path) -> None:
+    with pytest.raises(BundleNotFound, match=r"bundle\.json"):
+        load_bundle(tmp_path)
+
+
+def test_another_schema_version(folder: Path) -> None:
+    edit(folder, lambda fields: fields.update(schema_version=99))
+    with pytest.raises(BundleIncompatible, match="schema_version 99"):
+        load_bundle(folder)
+
+
+def test_a_manifest_with_a_wrong_field(folder: Path) -> None:
+    edit(folder, lambda fields: fields.update(grid_size="many"))
+    with pytest.raises(BundleCorrupt, match="grid_size"):
+        load_bundle(folder)
+
+
+def test_a_manifest_that_is_no_json(folder: Path) -> None:
+    (folder / "bundle.json").write_text("{")
+    with pytest.raises(BundleCorrupt, match="not JSON"):
+        load_bundle(folder)
+
+
+def test_a_graph_that_is_no_onnx(folder: Path) -> None:
+    (folder / "covariance.onnx").write_bytes(b"not a graph")
+    digest = file_sha256(folder / "covariance.onnx")
+    edit(folder, lambda fields: fields["files"].update({"covariance.onnx": digest}))
+    with pytest.raises(BundleCorrupt, match="no ONNX graph"):
+        load_bundle(folder)
+
+
+def test_pickles_are_never_loaded(folder: Path) -> None:
+    np.savez(folder / "fusion.npz", floor=np.array([{"a": 1}], dtype=object))
+    digest = file_sha256(folder / "fusion.npz")
+    edit(folder, lambda fields: fields["files"].update({"fusion.npz": digest}))
+    with pytest.raises(BundleCorrupt, match="cannot be read"):
+        load_bundle(folder)
+
+
+def test_other_numbers_fail_the_self_test(folder: Path) -> None:
+    with np.load(folder / "fusion.npz") as archive:
+        fusion = {**archive, "floor": archive["floor"] * 3}
+    np.savez(folder / "fusion.npz", **fusion)
+    digest = file_sha256(folder / "fusion.npz")
+    edit(folder, lambda fields: fields["files"].update({"fusion.npz": digest}))
+    with pytest.raises(SelfTestFailed, match="golden"):
+        self_test(load_bundle(folder))
+
+
+def test_the_registry_chooses_by_geometry(folder: Path) -> None:
+    square = preset("respeaker-usb-4mic-v2")
+    bound = {"name": square.name, "positions_m": square.positions.tolist()}
+    edit(folder, lambda fields: fields.update(name="bound", array=bound))
+    registry = BundleRegistry([load_bundle(folder), *BundleRegistry.load().bundles])
+    chosen = registry.for_array(square)
+    assert chosen is not None
+    assert chosen.manifest.name == "bound"
+    other = registry.for_array(preset("matrix-voice"))
+    assert other is not None
+    assert other.manifest.name == "any-array"
+    with pytest.raises(GeometryMismatch, match="respeaker-usb-4mic-v2"):
+        registry.for_array(preset("matrix-voice"), "bound")
+    with pytest.raises(UnknownModel, match="loaded are: bound, any-array"):
+        registry.get("nothing")
+
+
+def test_two_bundles_of_one_name_are_refused(folder: Path) -> None:
+    with pytest.raises(BundleCorrupt, match="any-array"):
+        BundleRegistry([load_bundle(folder), load_bundle(folder)])

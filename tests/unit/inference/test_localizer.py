@@ -1,0 +1,113 @@
+"""The embedded bundle and the classical methods on audio with known directions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from service.doa.array import MicrophoneArray
+from service.doa.presets import preset
+from service.doa.scoring import circular_error, maae
+from service.doa.types import FloatArray
+from service.inference.classical import ClassicalLocalizer
+from service.inference.localizer import Localizer, localizer_of
+from service.inference.registry import BundleRegistry
+from service.inference.results import METHODS
+
+
+@pytest.fixture(scope="module")
+def registry() -> BundleRegistry:
+    return BundleRegistry.load()
+
+
+def localizer(method: str, array: MicrophoneArray, registry: BundleRegistry) -> Localizer:
+    if method != "neural":
+        return ClassicalLocalizer(method, array)  # type: ignore[arg-type]
+    bundle = registry.for_array(array)
+    assert bundle is not None
+    return localizer_of(bundle, array)
+
+
+def azimuths(estimates: list) -> list[FloatArray]:
+    return [np.array([s.azimuth for s in estimate.sources]) for estimate in estimates]
+
+
+ARRAYS = {
+    "square": preset("respeaker-usb-4mic-v2"),
+    "ring": preset("respeaker-6mic-circular"),
+    "tetrahedron": MicrophoneArray(
+        "custom", 0.03 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    ),
+}
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", ARRAYS)
+def test_one_talker_is_found_on_any_array(
+    method: str, name: str, registry: BundleRegistry, plane_waves
+) -> None:
+    truth = [3.0, 77.7, 181.2, 359.4]
+    array = ARRAYS[name]
+    windows = np.stack([plane_waves(array, [t], seed=i) for i, t in enumerate(truth)])
+    for known in (1, None):
+        found = azimuths(localizer(method, array, registry).estimate(windows, known, 3))
+        assert [len(f) for f in found] == [1] * 4
+        errors = circular_error(np.concatenate(found), np.deg2rad(truth))
+        assert np.rad2deg(errors.max()) < 2.0
+
+
+def test_two_talkers_are_found_and_counted(registry: BundleRegistry, plane_waves) -> None:
+    array = ARRAYS["square"]
+    truth = [(20, 100), (350, 170), (60, 240), (130, 300)]
+    windows = np.stack([plane_waves(array, t, seed=10 + i) for i, t in enumerate(truth)])
+    neural = localizer("neural", array, registry)
+    for found, expected in zip(azimuths(neural.estimate(windows, 2, 3)), truth, strict=True):
+        assert len(found) == 2
+        assert np.rad2deg(maae(found, np.deg2rad(expected))) < 4.0
+    counted = [len(f) for f in azimuths(neural.estimate(windows, None, 3))]
+    assert np.mean(np.array(counted) == 2) >= 0.75
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_noise_without_a_direction_has_no_source(method: str, registry: BundleRegistry) -> None:
+    array = ARRAYS["square"]
+    noise = np.random.default_rng(5).standard_normal((8, 4, 16640)).astype(np.float32) * 0.01
+    found = azimuths(localizer(method, array, registry).estimate(noise, None, 3))
+    assert sum(len(f) > 0 for f in found) <= 1
+
+
+def test_results_do_not_depend_on_the_batch(registry: BundleRegistry, plane_waves) -> None:
+    array = ARRAYS["square"]
+    windows = np.stack([plane_waves(array, [40 * i, 40 * i + 90], seed=i) for i in range(5)])
+    neural = localizer("neural", array, registry)
+    together = neural.estimate(windows, None, 3)
+    for index, estimate in enumerate(together):
+        (alone,) = neural.estimate(windows[index : index + 1], None, 3)
+        np.testing.assert_allclose(alone.spectrum, estimate.spectrum, atol=1e-4)
+        assert len(alone.sources) == len(estimate.sources)
+
+
+def test_turning_the_array_turns_the_directions(registry: BundleRegistry, plane_waves) -> None:
+    """The network sees no geometry, so the same audio on a turned array gives a turned spectrum."""
+    array = ARRAYS["square"]
+    window = plane_waves(array, [50.0, 200.0])[None]
+    (plain,) = localizer("neural", array, registry).estimate(window, 2, 3)
+    turned = localizer("neural", array.rotated(np.deg2rad(30.0)), registry)
+    (rotated,) = turned.estimate(window, 2, 3)
+    np.testing.assert_allclose(rotated.spectrum, np.roll(plain.spectrum, 30), atol=1e-3)
+
+
+def test_level_does_not_matter(registry: BundleRegistry, plane_waves) -> None:
+    window = plane_waves(ARRAYS["square"], [120.0])[None]
+    neural = localizer("neural", ARRAYS["square"], registry)
+    (loud,) = neural.estimate(window, None, 3)
+    (quiet,) = neural.estimate(window * 1e-3, None, 3)
+    np.testing.assert_allclose(quiet.spectrum, loud.spectrum, atol=1e-3)
+
+
+@pytest.mark.parametrize("samples", [2048, 5000, 16640, 40000])
+def test_windows_of_any_length(samples: int, registry: BundleRegistry, plane_waves) -> None:
+    array = ARRAYS["square"]
+    window = plane_waves(array, [260.0], seconds=3.0, seed=4)[None, :, :samples]
+    (estimate,) = localizer("neural", array, registry).estimate(window, 1, 3)
+    assert np.rad2deg(estimate.sources[0].azimuth) == pytest.approx(260.0, abs=4.0)
