@@ -44,7 +44,6 @@ test: install
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python -m service.openapi --check openapi.yaml
 
 types: install
 	$(BIN)/mypy

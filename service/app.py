@@ -16,9 +16,9 @@ from service.api.limits import BodyLimit
 from service.api.problems import Problem, install_problem_handlers
 from service.api.state import ServiceState
 from service.api.workers import WorkerPool
-from service.errors import ConfigError, UnknownModel
 from service.inference.registry import BundleRegistry
 from service.settings import Settings, load_settings
+from service.startup import load_registry
 
 DESCRIPTION = """
 Directions of arrival from microphone array audio, with a neural covariance model and MUSIC or with
@@ -73,25 +73,6 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
     for router in (localize.router, catalog.router, probes.router):
         app.include_router(router)
     return app
-
-
-def load_registry(settings: Settings) -> BundleRegistry:
-    """The bundles that the settings ask for, self-tested.
-
-    Raises
-    ------
-    BundleError
-        If a bundle cannot be used.
-    ConfigError
-        If the default model is not among them.
-    """
-    registry = BundleRegistry.load(settings.models, threads=settings.threads)
-    if settings.default_model is not None:
-        try:
-            registry.get(settings.default_model)
-        except UnknownModel as error:
-            raise ConfigError(f"default_model: {error.detail}") from None
-    return registry
 
 
 def _operation_id(route: APIRoute) -> str:

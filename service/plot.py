@@ -30,38 +30,34 @@ RESOLUTION = 150  # dots per inch
 ARRAY_RADIUS = 0.34  # of the polar view: the disc in its middle that shows the array
 NAMED = {0: "front\n0°", 90: "left\n90°", 180: "180°\nback", 270: "right\n270°"}
 LABEL_RADIUS = 0.78
+PASSES = 200  # of pushing overlapping labels apart, each by half of what is left
 MANY_WINDOWS = 100  # of more, the dots are smaller
 MIN_GAP = math.radians(19.0)  # between the labels of two directions
 
 
-def require_matplotlib() -> None:
-    """Raise ConfigError where matplotlib, an optional extra, is not installed."""
+def check_drawable(path: Path) -> None:
+    """Raise ConfigError where a picture cannot be drawn into a file of this name.
+
+    matplotlib is an optional extra, and the suffix names the format.
+    """
     try:
-        import matplotlib.figure  # noqa: F401
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
     except ImportError:
         raise ConfigError(
             'pictures need matplotlib: pip install "neuralmusic[plot]", or leave --plot out'
         ) from None
+    if path.suffix[1:].lower() not in FigureCanvasAgg.get_supported_filetypes():
+        raise ConfigError(f"{path} names no picture format: end it in .png, .svg or .pdf")
 
 
 def save_figure(result: RecordingResult, path: Path) -> None:
-    """Draw a result into a file; its suffix names the format.
-
-    Raises
-    ------
-    ConfigError
-        If matplotlib is missing or does not know the format.
-    """
-    figure = localization_figure(result)
-    formats = figure.canvas.get_supported_filetypes()
-    if path.suffix[1:].lower() not in formats:
-        raise ConfigError(f"{path} names no picture format: end it in .png, .svg or .pdf")
-    figure.savefig(path, dpi=RESOLUTION)
+    """Draw a result into a file; raises ConfigError where ``check_drawable`` does."""
+    check_drawable(path)
+    localization_figure(result).savefig(path, dpi=RESOLUTION)
 
 
 def localization_figure(result: RecordingResult) -> Figure:
     """Left the mean spectrum around the array, right the azimuth over time."""
-    require_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -88,18 +84,23 @@ def mean_spectrum(result: RecordingResult) -> FloatArray:
 
 def spread_labels(azimuths: Sequence[float], gap: float = MIN_GAP) -> list[float]:
     """Azimuths in radians moved apart until neighbours keep the gap, in the order given."""
-    spread = np.asarray(azimuths, dtype=np.float64)
-    if spread.size < 2:
-        return [float(azimuth) for azimuth in spread]
-    order = np.argsort(spread)
-    gap = min(gap, 2 * math.pi / spread.size)
-    for _ in range(50):  # each pass halves the overlaps that are left
-        for first, second in zip(order, np.roll(order, -1), strict=True):
-            distance = (spread[second] - spread[first]) % (2 * math.pi)
-            if distance < gap:
-                spread[first] -= (gap - distance) / 2
-                spread[second] += (gap - distance) / 2
-    return [float(azimuth) for azimuth in spread]
+    count = len(azimuths)
+    if count < 2:
+        return list(azimuths)
+    order = np.argsort(azimuths)
+    around = np.asarray(azimuths, dtype=np.float64)[order]
+    # Cut the circle at its widest gap, so that the labels lie on a line and push along it.
+    first = int(np.argmax(np.diff(around, append=around[0] + 2 * math.pi))) + 1
+    order = np.roll(order, -first)
+    line = np.concatenate([around[first:], around[:first] + 2 * math.pi])
+    gap = min(gap, 2 * math.pi / count)
+    for _ in range(PASSES):
+        overlap = np.maximum(gap - np.diff(line), 0.0) / 2
+        line[:-1] -= overlap / 2
+        line[1:] += overlap / 2
+    spread = np.empty(count)
+    spread[order] = line
+    return [float(azimuth % (2 * math.pi)) for azimuth in spread]
 
 
 def _title(figure: Figure, result: RecordingResult) -> None:

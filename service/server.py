@@ -9,8 +9,9 @@ from collections.abc import Callable
 import uvicorn
 
 from service.api.workers import WorkerPool
-from service.app import create_app, load_registry
+from service.app import create_app
 from service.settings import Settings
+from service.startup import load_registry
 
 GRACE = 10
 """Seconds that running requests get to finish after SIGTERM"""

@@ -16,12 +16,8 @@ router = APIRouter(tags=["catalog"])
 @router.get("/models", summary="List the models", responses=problem_responses(NotReady))
 async def models(request: Request) -> ModelsAnswer:
     """The loaded model bundles with their hashes and scores."""
-    state = state_of(request)
-    bundles = state.models().bundles
-    default = state.settings.default_model or next((b.manifest.name for b in bundles), None)
-    return ModelsAnswer(
-        models=[BundleAnswer.of(b, default=b.manifest.name == default) for b in bundles]
-    )
+    bundles = state_of(request).models().bundles
+    return ModelsAnswer(models=[BundleAnswer.of(b, default=b is bundles[0]) for b in bundles])
 
 
 @router.get("/arrays", summary="List the array presets")

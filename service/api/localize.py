@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import BinaryIO
 
 from fastapi import APIRouter, Request, Response
@@ -17,8 +16,6 @@ from service.api.workers import Progress
 from service.audio import Recording
 from service.errors import InvalidOption
 from service.inference.recording import localize_recording
-from service.inference.registry import BundleRegistry
-from service.inference.results import LocalizeOptions
 
 MAX_WINDOWS = 50_000
 """Of one answer; each holds a spectrum in memory"""
@@ -61,22 +58,10 @@ def _answer(
 ) -> bytes:
     """The answer's JSON; everything that takes time is in here, in a worker thread."""
     registry = state.models()
-    options = _with_default_model(asked.options, registry, state.settings.default_model)
     with Recording.open(file, state.audio_limits) as recording:
         _check_windows(recording.duration, asked)
-        result = localize_recording(recording, options, registry, progress)
+        result = localize_recording(recording, asked.options, registry, progress)
     return LocalizationAnswer.of(result, spectrum=asked.spectrum).to_json()
-
-
-def _with_default_model(
-    options: LocalizeOptions, registry: BundleRegistry, default: str | None
-) -> LocalizeOptions:
-    """Options that name the default model where none is named and it fits."""
-    if options.model is not None:
-        registry.get(options.model)  # an unknown name is an error with a classical method, too
-    elif default is not None and registry.get(default).fits(options.array):
-        return replace(options, model=default)
-    return options
 
 
 def _check_windows(duration: float, asked: LocalizeRequest) -> None:

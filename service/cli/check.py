@@ -107,7 +107,7 @@ def _print_levels(console: Console, levels: ChannelLevels, chosen: Sequence[int]
             f"{levels.rms[channel]:.1f}",
             f"{levels.peak[channel]:.1f}",
             f"{levels.clipped[channel]:.2%}",
-            f"{levels.offset[channel]:+.2%}",
+            f"{levels.offset[channel]:z.2%}",
             _bar(float(levels.rms[channel])) + ("" if used else " not a microphone"),
             style=None if used else "dim",
         )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from service.api.options import LocalizeRequest
-    from service.inference.registry import BundleRegistry
     from service.inference.results import LocalizeOptions, RecordingResult
 
 NAME = "localize"
@@ -53,9 +51,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     asked = _request(args)
     if args.plot:
-        from service.plot import require_matplotlib
+        from service.plot import check_drawable
 
-        require_matplotlib()  # before the work, not after it
+        check_drawable(args.plot)  # before the work, not after it
     result = _localize(args, asked.options)
     if args.plot:
         from service.plot import save_figure
@@ -84,23 +82,14 @@ def _request(args: argparse.Namespace) -> LocalizeRequest:
 
 def _localize(args: argparse.Namespace, options: LocalizeOptions) -> RecordingResult:
     from service.inference.recording import localize_recording
-    from service.inference.registry import BundleRegistry
     from service.settings import load_settings
+    from service.startup import load_registry
 
     settings = load_settings(models=args.models)
     with open_recording(args.file) as recording:
-        registry = BundleRegistry.load(settings.models, threads=settings.threads)
-        options = _with_default_model(options, registry, settings.default_model)
+        registry = load_registry(settings)
         with _progress(recording.duration) as progress:
             return localize_recording(recording, options, registry, progress)
-
-
-def _with_default_model(
-    options: LocalizeOptions, registry: BundleRegistry, default: str | None
-) -> LocalizeOptions:
-    if options.model is not None or default is None:
-        return options
-    return replace(options, model=default) if registry.get(default).fits(options.array) else options
 
 
 @contextmanager

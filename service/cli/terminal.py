@@ -15,9 +15,16 @@ PIPE_WIDTH = 120  # columns where there is no terminal to ask
 SECTORS = ("front", "front left", "left", "back left", "back", "back right", "right", "front right")
 
 
+class Output(Console):
+    """A console whose broken pipe is ``main``'s to answer; rich would exit with 1."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
+
+
 def output() -> Console:
     """Standard output as it is now; tests and pipes replace it."""
-    console = Console(file=sys.stdout, highlight=False, emoji=False)
+    console = Output(file=sys.stdout, highlight=False, emoji=False)
     if not console.is_terminal:
         console.width = PIPE_WIDTH
     return console

@@ -23,9 +23,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
-from service.doa.types import FloatArray
+from service.doa.types import FloatArray, IntArray
 
 OSPA_CUTOFF = np.deg2rad(30.0)
 
@@ -49,7 +48,7 @@ def match(estimated: FloatArray, truth: FloatArray) -> list[tuple[int, int, floa
     """Pairs (estimate, truth, error in radians) of the least total error; min(M, M') of them."""
     estimated, truth = validate(estimated), validate(truth)
     errors = circular_error(estimated[:, None], truth[None])
-    rows, columns = linear_sum_assignment(errors)
+    rows, columns = _assign(errors)
     return [(int(r), int(c), float(errors[r, c])) for r, c in zip(rows, columns, strict=True)]
 
 
@@ -94,6 +93,15 @@ def detection(estimated: FloatArray, truth: FloatArray, tolerance: float) -> Det
     return Detection(hits, estimated.size - hits, truth.size - hits)
 
 
+def _assign(costs: FloatArray) -> tuple[IntArray, IntArray]:
+    """Rows and columns of the assignment with the least total cost."""
+    # Imported here: the service scores nothing, and scipy.optimize is half of its start.
+    from scipy.optimize import linear_sum_assignment
+
+    rows, columns = linear_sum_assignment(costs)
+    return rows, columns
+
+
 def ospa(
     estimated: FloatArray, truth: FloatArray, *, cutoff: float = OSPA_CUTOFF, order: float = 1.0
 ) -> float:
@@ -109,7 +117,7 @@ def ospa(
     if larger == 0:
         return 0.0
     errors = np.minimum(circular_error(estimated[:, None], truth[None]), cutoff) ** order
-    rows, columns = linear_sum_assignment(errors)
+    rows, columns = _assign(errors)
     unmatched = cutoff**order * abs(estimated.size - truth.size)
     return float(((errors[rows, columns].sum() + unmatched) / larger) ** (1 / order))
 

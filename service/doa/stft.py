@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy.fft
 
 from service.doa.types import ComplexArray, FloatArray
 
@@ -59,7 +58,7 @@ class Stft:
         """
         frames = np.lib.stride_tricks.sliding_window_view(audio, self.n_fft, axis=-1)
         windowed = frames[..., :: self.hop, :] * hann(self.n_fft)
-        spectra = scipy.fft.rfft(windowed.astype(np.float32, copy=False), axis=-1)
+        spectra = np.fft.rfft(windowed.astype(np.float32, copy=False), axis=-1)
         transposed: ComplexArray = np.swapaxes(spectra, -1, -2)
         return transposed
 

@@ -16,8 +16,8 @@ from service.doa.types import FloatArray
 
 NUM_CANDIDATES = 4
 NUM_DESCRIPTORS = 8
-REMOVAL_LEVEL = 0.7
-"""Cells whose normalised spectrum at a found peak exceeds this belong to that source"""
+REMOVAL_LEVEL = 0.7**2
+"""Cells whose squared spectrum at a found peak exceeds this belong to that source"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,16 +38,15 @@ def find_candidates(spectra: FloatArray, attention: FloatArray, dominance: float
     Parameters
     ----------
     spectra : (K, A) float32
-        Normalised spectra of K frequency-and-block cells, maximum 1 each.
+        Squared MUSIC spectra of K frequency-and-block cells, maximum 1 each.
     attention : (K,) float32
         Non-negative.
     dominance : float
         Attention-weighted mean dominance of the window's cells, in [0, 1].
     """
-    sharpened = spectra * spectra
     total = float(attention.sum())
     remaining = attention
-    first = fused = attention_fusion(sharpened, attention)
+    first = fused = attention_fusion(spectra, attention)
     azimuths = np.full(NUM_CANDIDATES, np.nan)
     descriptors = np.zeros((NUM_CANDIDATES, NUM_DESCRIPTORS), dtype=np.float32)
     for rank in range(NUM_CANDIDATES):
@@ -72,5 +71,5 @@ def find_candidates(spectra: FloatArray, attention: FloatArray, dominance: float
         )
         azimuths[rank] = peak.azimuth
         remaining = np.where(belongs, np.float32(0), remaining)
-        fused = attention_fusion(sharpened, remaining)
+        fused = attention_fusion(spectra, remaining)
     return Candidates(azimuths, descriptors, first)

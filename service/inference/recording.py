@@ -126,6 +126,8 @@ def _check_num_sources(options: LocalizeOptions) -> None:
 
 def _choose(options: LocalizeOptions, registry: BundleRegistry) -> tuple[Method, Bundle | None]:
     """The method that will run and, for `neural`, its bundle."""
+    if options.model is not None:
+        registry.get(options.model)  # an unknown name is an error with a classical method, too
     if options.method not in (None, "neural"):
         return options.method, None
     bundle = registry.for_array(options.array, options.model)

@@ -28,10 +28,26 @@ class BundleRegistry:
                 raise BundleCorrupt(f"two bundles are named {name!r}: keep one of them")
 
     @classmethod
-    def load(cls, folders: Sequence[Path] = (), *, threads: int = 1) -> BundleRegistry:
-        """Load user bundles, then the embedded ones; raises BundleError.
+    def load(
+        cls, folders: Sequence[Path] = (), *, threads: int = 1, default: str | None = None
+    ) -> BundleRegistry:
+        """Load and self-test user bundles and the embedded ones, which a user's of one name hides.
 
-        A folder may be a bundle or hold bundles.
+        Parameters
+        ----------
+        folders : sequence of Path
+            Each a bundle or a folder of bundles.
+        threads : int
+            Of every onnxruntime session.
+        default : str, optional
+            Name of the bundle to prefer over all others that fit an array.
+
+        Raises
+        ------
+        BundleError
+            If a bundle cannot be used.
+        UnknownModel
+            If no bundle has the default's name.
         """
         found = [path for folder in folders for path in bundle_folders(folder)]
         taken = {path.name for path in found}
@@ -39,7 +55,11 @@ class BundleRegistry:
         bundles = [load_bundle(folder, threads=threads) for folder in found]
         for bundle in bundles:
             self_test(bundle)
-        return cls(bundles)
+        registry = cls(bundles)
+        if default is None:
+            return registry
+        preferred = registry.get(default)
+        return cls([preferred, *(bundle for bundle in bundles if bundle is not preferred)])
 
     def get(self, name: str) -> Bundle:
         """The bundle of this name, or UnknownModel."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -127,6 +128,20 @@ def test_a_default_model_that_is_not_loaded_stops_the_start() -> None:
     says = "default_model: no model is named 'nobody'"
     with pytest.raises(ConfigError, match=says), TestClient(app):
         pass
+
+
+def test_a_full_disk_is_no_server_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("starlette.datastructures.UploadFile.write", full)
+    with TestClient(small_app()) as client:
+        for response in (
+            client.post("/localize", content=b"RIFF", headers=HEADERS),
+            client.post("/localize", files={"audio": b"RIFF"}),
+        ):
+            assert response.status_code == 503
+            assert "no room" in response.json()["detail"]
 
 
 def test_an_unexpected_error_is_a_problem_that_gives_nothing_away(

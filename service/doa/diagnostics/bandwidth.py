@@ -11,6 +11,7 @@ from service.doa.stft import Stft
 from service.doa.types import FloatArray
 
 CLIFF = 20.0  # dB; a long-term spectrum of speech or noise falls by a few dB over this span
+NEARLY = 6.0  # dB
 LOWEST_EDGE = 1000.0  # Hz; an end below it is a tone or rumble rather than a sample rate
 HIGHEST_EDGE = 0.75  # of Nyquist: anti-aliasing filters of honest recordings begin above it
 SILENT_POWER = 1e-14  # full scale squared per bin; less is the same as nothing
@@ -39,18 +40,16 @@ def spectrum_edge(segments: Sequence[FloatArray], sample_rate: int) -> float | N
 def _cliff(level: FloatArray, frequencies: FloatArray) -> float | None:
     # The highest level of all that lies above: one line up there and the spectrum has not ended.
     above = np.maximum.accumulate(level[::-1])[::-1]
-    nyquist = float(frequencies[-1])
-    best, edge = CLIFF, None
-    for index in range(len(level)):
-        frequency = float(frequencies[index])
-        if not LOWEST_EDGE <= frequency <= HIGHEST_EDGE * nyquist:
-            continue
-        low, high = int(0.8 * index), int(0.95 * index) + 1
-        beyond = int(np.ceil(1.1 * index)) + 1
-        drop = float(np.mean(level[low:high]) - above[beyond])
-        if drop > best:
-            best, edge = drop, frequency
-    return edge
+    drops = np.zeros(len(level))
+    for index, frequency in enumerate(frequencies):
+        if LOWEST_EDGE <= frequency <= HIGHEST_EDGE * frequencies[-1]:
+            low, high = int(0.8 * index), int(0.95 * index) + 1
+            beyond = int(np.ceil(1.1 * index)) + 1
+            drops[index] = np.mean(level[low:high]) - above[beyond]
+    if drops.max() < CLIFF:
+        return None
+    # Every place within the span sees the cliff; the lowest that sees nearly all of it is its top.
+    return float(frequencies[np.argmax(drops > drops.max() - NEARLY)])
 
 
 def bandwidth_findings(segments: Sequence[FloatArray], sample_rate: int) -> list[Finding]:

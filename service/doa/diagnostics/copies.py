@@ -34,7 +34,7 @@ def copied_groups(segments: Sequence[FloatArray], ignored: Sequence[int]) -> lis
     # hum or rumble, so these are equal in all channels of a good recording.
     steps = np.concatenate([np.diff(segment, axis=-1) for segment in segments], axis=-1)
     gram = steps.astype(np.float64) @ steps.T.astype(np.float64)
-    power = np.maximum(np.diag(gram), np.finfo(np.float64).tiny)
+    power = np.maximum(np.diag(gram), 1e-30)
     residual = 1.0 - gram**2 / (power[:, None] * power[None, :])
     rest = residual * np.minimum(power[:, None], power[None, :]) / steps.shape[-1]
     copies = (residual < COPY_RESIDUAL) & (rest < ROUNDING**2)

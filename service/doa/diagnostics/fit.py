@@ -55,6 +55,7 @@ class PlaneWaveFit:
         self._azimuth = np.tile(azimuth, elevation.size)
         self._elevation = np.repeat(elevation, azimuth.size)
         self._frequencies, self._bin = np.unique(cells.frequency, return_inverse=True)
+        self._given = self._steering(1.0)
         self._counts = np.bincount(cells.block, minlength=cells.num_blocks)
 
     def scores(self, hypotheses: Sequence[Hypothesis]) -> FloatArray:
@@ -82,7 +83,8 @@ class PlaneWaveFit:
         cells, microphones = self._cells, self._positions.shape[0]
         order = np.array([hypothesis.order for hypothesis in hypotheses])
         late = np.array([hypothesis.late for hypothesis in hypotheses]) / self._sample_rate
-        steering = self._steering(hypotheses[0].scale)
+        scale = hypotheses[0].scale
+        steering = self._given if scale == 1.0 else self._steering(scale)
         shape = (len(hypotheses), cells.num_blocks, self._azimuth.size)
         summed = np.zeros(shape, dtype=np.float32)
         for index, frequency in enumerate(self._frequencies):

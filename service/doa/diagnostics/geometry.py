@@ -24,7 +24,8 @@ MIN_STATISTIC = 3.5
 """Mean gain of the blocks over its standard error: the same recordings stay below 2.9."""
 TIE = 1.1  # misfits of late channels that differ by a smaller factor cannot be told apart
 PRIOR = 1.03  # an order wins over a slightly better lag: wrong orders are far more common
-MAX_LATE = 2  # samples; most larger lags are seen by cross-correlation
+MAX_LATE = 4  # samples; most larger lags are seen by cross-correlation
+SCALE_RATIO = 0.6  # of the misfit, for another scale: a larger array fits any sound a little better
 SCALES = (1.5, 2.0, 3.0)  # wrong units are refused; these are 48 kHz read as 32, 24 and 16 kHz
 MIN_MICROPHONES = 4  # with three, any lag within the array's size is some direction
 
@@ -63,6 +64,7 @@ def geometry_findings(
         verdict
         for scale in SCALES
         for verdict in _judge(fit, [Hypothesis(given, none_late, scale)], reference)
+        if verdict.misfit < SCALE_RATIO * verdict.given
     ]
     if not (orders or lates or scales):
         return []

@@ -66,27 +66,25 @@ def lag_findings(
     if not segments or len(names) < 2:
         return []
     lags = channel_lags(segments, sample_rate)
-    relative = lags[:, None] - lags[None, :]
-    excess = np.abs(relative) > distances / SPEED_OF_SOUND + MARGIN_S  # NaN is never in excess
-    late: list[int] = []
-    while excess.any():
-        # The channel at odds with most others is the late one; of two, the later.
-        order = np.lexsort((np.nan_to_num(lags, nan=-np.inf), excess.sum(axis=-1)))
-        late.append(int(order[-1]))
-        excess[late[-1]] = excess[:, late[-1]] = False
-    return [_finding(index, lags, late, names) for index in sorted(late)]
+    # Only lags behind channel 0 itself are compared with a distance: with several sources around,
+    # two other channels' peaks may belong to different ones, and their difference to neither.
+    excess = np.abs(lags) > distances[0] / SPEED_OF_SOUND + MARGIN_S  # NaN is never in excess
+    late = [int(index) for index in np.flatnonzero(excess)]
+    if not late:
+        return []
+    if len(names) > 2 and len(late) == len(names) - 1:
+        return [_finding(names[0], -float(np.median(lags[1:])))]
+    others = float(np.nanmedian(np.delete(lags, late)))
+    return [_finding(names[index], float(lags[index]) - others) for index in late]
 
 
-def _finding(index: int, lags: FloatArray, late: Sequence[int], names: Sequence[int]) -> Finding:
-    others = [lag for n, lag in enumerate(lags) if n not in late]
-    lag = float(lags[index] - np.nanmedian(others))
+def _finding(channel: int, lag: float) -> Finding:
     detail = (
-        f"channel {names[index]} is {abs(lag) * 1000:.2f} ms "
-        f"{'late' if lag > 0 else 'early'} against the other channels, more than sound needs "
-        f"across the array: capture all channels by one device, and check the array's size and "
-        f"the file's sample rate"
+        f"channel {channel} is {abs(lag) * 1000:.2f} ms {'late' if lag > 0 else 'early'} against "
+        f"the other channels, more than sound needs across the array: capture all channels by one "
+        f"device, and check the array's size and the file's sample rate"
     )
-    return Finding("channel_late", detail, (names[index],))
+    return Finding("channel_late", detail, (channel,))
 
 
 def unknown_distances(count: int) -> FloatArray:

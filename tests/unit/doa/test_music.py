@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.doa import classical
-from service.doa.array import MicrophoneArray
 from service.doa.covariance import diagonal_loading, hermitian, sample_covariance
 from service.doa.peaks import circular_difference, find_peaks
 from service.doa.steering import azimuth_grid, steering_vectors

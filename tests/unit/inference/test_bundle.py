@@ -125,6 +125,20 @@ def test_the_registry_chooses_by_geometry(folder: Path) -> None:
         registry.get("nothing")
 
 
+@pytest.mark.parametrize("default", ["any-array", "bound"])
+def test_the_default_bundle_is_preferred_where_it_fits(folder: Path, default: str) -> None:
+    square = preset("respeaker-usb-4mic-v2")
+    bound = {"name": square.name, "positions_m": square.positions.tolist()}
+    edit(folder, lambda fields: fields.update(name="bound", array=bound))
+    registry = BundleRegistry.load([folder], default=default)
+    names = {
+        array: bundle and bundle.manifest.name
+        for array in ("respeaker-usb-4mic-v2", "matrix-voice")
+        for bundle in [registry.for_array(preset(array))]
+    }
+    assert names == {"respeaker-usb-4mic-v2": default, "matrix-voice": "any-array"}
+
+
 def test_two_bundles_of_one_name_are_refused(folder: Path) -> None:
     with pytest.raises(BundleCorrupt, match="any-array"):
         BundleRegistry([load_bundle(folder), load_bundle(folder)])

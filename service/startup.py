@@ -1,0 +1,25 @@
+"""What a process loads before it can localize: the same for the server and the command line."""
+
+from __future__ import annotations
+
+from service.errors import ConfigError, UnknownModel
+from service.inference.registry import BundleRegistry
+from service.settings import Settings
+
+
+def load_registry(settings: Settings) -> BundleRegistry:
+    """The bundles that the settings ask for, self-tested.
+
+    Raises
+    ------
+    BundleError
+        If a bundle cannot be used.
+    ConfigError
+        If the default model is not among them.
+    """
+    try:
+        return BundleRegistry.load(
+            settings.models, threads=settings.threads, default=settings.default_model
+        )
+    except UnknownModel as error:
+        raise ConfigError(f"default_model: {error.detail}") from None
