@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import sys
-import tempfile
 from pathlib import Path
 
 import torch
@@ -118,54 +116,21 @@ def _train(arguments: argparse.Namespace) -> None:
 
 
 def _export(arguments: argparse.Namespace) -> None:
-    from model_export.counting import collect, train_counting
-    from model_export.export import digest
-    from model_export.export_weights import candidate_search, export_weights
-    from model_export.scenes import RoomBank
-    from model_export.train import load_run
-    from model_export.weights import WeightsPipeline
+    from model_export.export_run import export_run
 
-    config, task, step = load_run(arguments.run)
-    if not isinstance(task.model, WeightsPipeline):
-        raise ValueError(
-            f"{arguments.run} is a {config.variant} run: only weights runs are exported"
-        )
-    with tempfile.TemporaryDirectory() as folder:
-        search = candidate_search(task.model, Path(folder))
-        bank, validation = RoomBank(arguments.rooms), RoomBank(arguments.rooms, validation=True)
-        count = arguments.counting_scenes
-        data = collect(search, bank, _speech(arguments, "train"), count, seed=config.seed)
-        held = collect(search, validation, _speech(arguments, "development"), count // 8, seed=99)
-    network, counting = train_counting(data, held)
-    shutil.rmtree(arguments.out, ignore_errors=True)
-    manifest = export_weights(
-        task.model,
-        network,
+    corpora = ["Google Speech Commands"] + ["LibriSpeech"] * bool(arguments.librispeech)
+    manifest = export_run(
+        arguments.run,
         arguments.out,
-        {
-            "name": config.name,
-            "version": arguments.version,
-            "description": "Time-frequency weights from array-independent features; works on any "
-            "array without retraining.",
-            "training": {
-                "config": config.as_dict(),
-                "steps": step,
-                "scenes": step * config.batch_size,
-                "parameters": digest(task.model.state_dict()),
-                "counting_scenes": count,
-                "counting_validation": {k: round(v, 4) for k, v in counting.items()},
-                "data": _datasets(arguments),
-            },
-            "scores": {},
-            "licences": ["Google Speech Commands: CC BY 4.0", "LibriSpeech: CC BY 4.0"],
-        },
+        version=arguments.version,
+        rooms=arguments.rooms,
+        speech=_speech(arguments, "train"),
+        validation_speech=_speech(arguments, "development"),
+        counting_scenes=arguments.counting_scenes,
+        data=[f"{corpus}, training speakers" for corpus in corpora],
+        licences=[f"{corpus}: CC BY 4.0" for corpus in corpora],
     )
-    print(json.dumps({"parity": manifest.parity, "counting": counting}, indent=2))
-
-
-def _datasets(arguments: argparse.Namespace) -> list[str]:
-    names = ["Google Speech Commands, training speakers"]
-    return [*names, "LibriSpeech, training speakers"] if arguments.librispeech else names
+    print(json.dumps({"training": manifest.training, "parity": manifest.parity}, indent=2))
 
 
 def _evaluate(arguments: argparse.Namespace) -> None:

@@ -23,8 +23,8 @@ from torch import nn
 from model_export.rooms import RoomSpec
 from model_export.simulate import Protocol, simulate_scene
 from model_export.synthesis import synthetic_voice
+from model_export.tasks import STFT
 from service.doa.array import MicrophoneArray
-from service.doa.presets import preset
 from service.doa.types import FloatArray
 from service.inference.bundle import (
     COVARIANCE,
@@ -163,6 +163,16 @@ def write_bundle(
     return manifest
 
 
+def stft_section(frames: int) -> dict[str, int]:
+    """The manifest's ``stft`` of networks trained on windows of ``frames`` frames."""
+    return {
+        "sample_rate": STFT.sample_rate,
+        "n_fft": STFT.n_fft,
+        "hop": STFT.hop,
+        "frames": frames,
+    }
+
+
 def update_scores(folder: Path, scores: Mapping[str, Any]) -> None:
     """Put an evaluation's scores into a bundle's manifest."""
     fields = json.loads((folder / MANIFEST).read_text())
@@ -175,11 +185,6 @@ def _write_manifest(folder: Path, fields: Mapping[str, Any]) -> Manifest:
     text = json.dumps(manifest.model_dump(), indent=2)
     (folder / MANIFEST).write_text(text + "\n")
     return manifest
-
-
-def bundle_array(name: str | None) -> MicrophoneArray:
-    """The array whose windows a bundle is verified on."""
-    return preset(name or "respeaker-usb-4mic-v2")
 
 
 def digest(state: Mapping[str, torch.Tensor]) -> str:

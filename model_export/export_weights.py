@@ -12,9 +12,9 @@ import torch
 from model_export.counting import MAX_SOURCES, SourceCountNetwork
 from model_export.export import (
     ExportGraph,
-    bundle_array,
     export_onnx,
     golden_windows,
+    stft_section,
     write_bundle,
 )
 from model_export.subspace import delay_products
@@ -22,6 +22,7 @@ from model_export.tasks import STFT, steering_delays
 from model_export.weights import WeightsPipeline
 from service.doa.array import MicrophoneArray
 from service.doa.features import NUM_FEATURES, coherence_features
+from service.doa.presets import preset
 from service.doa.steering import azimuth_grid
 from service.doa.types import FloatArray
 from service.inference.candidates import NUM_CANDIDATES, NUM_DESCRIPTORS
@@ -43,7 +44,7 @@ def export_weights(
 ) -> Manifest:
     """Write a `weights` bundle; ``fields`` name and describe it (see ``Manifest``)."""
     pipeline.eval()
-    array = bundle_array(None)
+    array = preset("respeaker-usb-4mic-v2")
     windows = golden_windows(array, PARITY_WINDOWS)
     analysis = analysis_of(pipeline)
     return write_bundle(
@@ -52,12 +53,7 @@ def export_weights(
             **fields,
             "variant": "weights",
             "array": "any",
-            "stft": {
-                "sample_rate": STFT.sample_rate,
-                "n_fft": STFT.n_fft,
-                "hop": STFT.hop,
-                "frames": FRAMES,
-            },
+            "stft": stft_section(FRAMES),
             "grid_size": GRID_SIZE,
             "first_bin": FIRST_BIN,
             "num_bins": analysis.num_bins,

@@ -140,10 +140,7 @@ def _validate(task: Task, batches: Sequence[Batch]) -> dict[str, float]:
 def _validation_batches(
     config: TrainingConfig, bank: Path, speech: Sequence[FloatArray]
 ) -> list[Batch]:
-    try:
-        rooms = RoomBank(bank, validation=True)
-    except FileNotFoundError:  # a bank of under twenty chunks has no validation rooms
-        rooms = RoomBank(bank)
+    rooms = RoomBank(bank, validation=True)
     stream = iter(SceneStream(config, rooms, speech, first_step=10**6))
     return [next(stream) for _ in range(VALIDATION_BATCHES)]
 

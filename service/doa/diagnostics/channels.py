@@ -110,11 +110,15 @@ class ChannelDiagnostics:
             late = lag_findings(segments, self._sample_rate, unknown, self._names)
             return late, "no array was named"
         distances = pairwise_distances(array.positions)
-        late = lag_findings(segments, self._sample_rate, distances, self._names)
         fits, unchecked = self._geometry(segments, array)
-        if not late or any(finding.code == "array_scale" for finding in fits):
+        late = lag_findings(segments, self._sample_rate, distances, self._names)
+        # A wrong scale or order makes channels look late; lags beyond the whole array are no order.
+        beyond = np.full_like(distances, distances.max())
+        explained = {"array_scale"}
+        if not lag_findings(segments, self._sample_rate, beyond, self._names):
+            explained.add("channel_order")
+        if not late or any(finding.code in explained for finding in fits):
             return fits, unchecked
-        # Late channels alone make the order look wrong; a wrong scale makes channels look late.
         return late, "late channels come first"
 
     def _geometry(

@@ -60,7 +60,7 @@ def test_aperture_and_kind() -> None:
 
 def test_a_translated_array_is_the_same_array_and_a_turned_one_is_not() -> None:
     square = MicrophoneArray("custom", SQUARE)
-    assert square.matches(MicrophoneArray("elsewhere", SQUARE + [0.3, -0.1, 1.0]))
+    assert square.matches(MicrophoneArray("elsewhere", np.add(SQUARE, [0.3, -0.1, 1.0])))
     assert not square.matches(square.rotated(np.pi / 2))
     assert square.rotated(2 * np.pi).matches(square)
     assert not square.matches(MicrophoneArray("three", SQUARE[:3]))

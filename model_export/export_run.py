@@ -1,0 +1,83 @@
+"""From a run folder to a bundle: which variant it is, the source count, the training record."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from model_export.counting import SourceCountNetwork, collect, train_counting
+from model_export.export import digest
+from model_export.export_regression import export_regression
+from model_export.export_weights import candidate_search, export_weights
+from model_export.regression import RegressionTask
+from model_export.scenes import RoomBank
+from model_export.tasks import WeightsTask
+from model_export.train import load_run
+from service.doa.types import FloatArray
+from service.inference.manifest import Manifest
+
+DESCRIPTIONS = {
+    "weights": "Time-frequency weights from array-independent features: works on any array.",
+    "regression": "The paper's networks: covariances from magnitudes and phases, for one array.",
+}
+
+
+def export_run(
+    run: Path,
+    out: Path,
+    *,
+    version: str,
+    rooms: Path,
+    speech: Sequence[FloatArray],
+    validation_speech: Sequence[FloatArray],
+    counting_scenes: int,
+    data: Sequence[str],
+    licences: Sequence[str],
+) -> Manifest:
+    """Export the run's checkpoint as a bundle; a `weights` run gets its source count first."""
+    config, task, step = load_run(run)
+    training: dict[str, Any] = {
+        "config": config.as_dict(),
+        "steps": step,
+        "scenes": step * config.batch_size,
+        "parameters": digest(task.model.state_dict()),
+        "data": list(data),
+    }
+    fields = {
+        "name": config.name,
+        "version": version,
+        "description": DESCRIPTIONS[config.variant],
+        "training": training,
+        "scores": {},
+        "licences": list(licences),
+    }
+    if isinstance(task, RegressionTask):
+        shutil.rmtree(out, ignore_errors=True)
+        return export_regression(task, out, fields)
+    assert isinstance(task, WeightsTask)
+    network, scores = _count_sources(
+        task, rooms, speech, validation_speech, counting_scenes, config.seed
+    )
+    training["counting_scenes"] = counting_scenes
+    training["counting_validation"] = {name: round(value, 4) for name, value in scores.items()}
+    shutil.rmtree(out, ignore_errors=True)
+    return export_weights(task.model, network, out, fields)
+
+
+def _count_sources(
+    task: WeightsTask,
+    rooms: Path,
+    speech: Sequence[FloatArray],
+    validation_speech: Sequence[FloatArray],
+    scenes: int,
+    seed: int,
+) -> tuple[SourceCountNetwork, dict[str, float]]:
+    with tempfile.TemporaryDirectory() as folder:
+        search = candidate_search(task.model, Path(folder))
+        data = collect(search, RoomBank(rooms), speech, scenes, seed=seed)
+        bank = RoomBank(rooms, validation=True)
+        held = collect(search, bank, validation_speech, max(16, scenes // 8), seed=seed + 1)
+    return train_counting(data, held)

@@ -1,0 +1,90 @@
+"""The whole training side in small: rooms, a few steps, export, and the bundle serves."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+from model_export.__main__ import main
+from model_export.synthesis import synthetic_voice
+from service.audio import Recording
+from service.doa.presets import preset
+from service.inference.bundle import load_bundle
+from service.inference.recording import localize_recording
+from service.inference.registry import BundleRegistry
+from service.inference.results import LocalizeOptions
+
+SPEAKERS = [f"{index:08x}" for index in range(40)]
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Synthetic voices in the layout of Speech Commands."""
+    folder = tmp_path_factory.mktemp("speech_commands")
+    rng = np.random.default_rng(1)
+    (folder / "yes").mkdir()
+    for speaker in SPEAKERS:
+        soundfile.write(
+            folder / "yes" / f"{speaker}_nohash_0.wav", synthetic_voice(rng, 1.0), 16000
+        )
+    listed = "".join(f"yes/{speaker}_nohash_0.wav\n" for speaker in SPEAKERS[:4])
+    (folder / "validation_list.txt").write_text(listed)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def rooms(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("rooms")
+    assert main(["rooms", "--out", str(folder), "--chunks", "1"]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("config", ["any-array", "paper"])
+def test_from_rooms_to_a_bundle_that_serves(
+    config: str, corpus: Path, rooms: Path, tmp_path: Path
+) -> None:
+    run, out = tmp_path / "run", tmp_path / "bundles" / config
+    data = ["--rooms", str(rooms), "--speech-commands", str(corpus)]
+    assert main(["train", "--config", config, "--run", str(run), "--smoke", *data]) == 0
+    curves = (run / "curves.csv").read_text().splitlines()
+    assert [line.split(",")[0] for line in curves] == ["step", "2", "4"]
+    assert json.loads((run / "config.json").read_text())["seed"] == 1
+    export = ["export", "--run", str(run), "--out", str(out), "--counting-scenes", "64"]
+    assert main([*export, *data]) == 0
+    bundle = load_bundle(out)
+    assert bundle.manifest.parity["max_abs_difference"] <= 1e-3
+    assert bundle.manifest.training["scenes"] == 16
+    for graph in (bundle.manifest.covariance, bundle.manifest.source_count):
+        assert graph.inputs[0].shape[0] == "batch"
+    sample = Path(__file__).parents[2] / "examples" / "two-talkers.flac"
+    with Recording.open(sample) as recording:
+        options = LocalizeOptions(preset("respeaker-usb-4mic-v2"), num_sources=1, hop_s=2.0)
+        result = localize_recording(recording, options, BundleRegistry([bundle]))
+    assert result.method == "neural"
+    assert all(len(window.estimate.sources) <= 1 for window in result.windows)
+
+
+def test_a_run_continues_where_it_was_interrupted(
+    corpus: Path, rooms: Path, tmp_path: Path
+) -> None:
+    command = ["train", "--run", str(tmp_path), "--smoke", "--rooms", str(rooms)]
+    command += ["--speech-commands", str(corpus)]
+    assert main(command) == 0
+    finished = (tmp_path / "curves.csv").read_text()
+    assert main(command) == 0  # all steps are done: nothing is trained again
+    assert (tmp_path / "curves.csv").read_text() == finished
+    settings = json.loads((tmp_path / "config.json").read_text())
+    (tmp_path / "config.json").write_text(json.dumps({**settings, "seed": 2}))
+    assert main(command) == 2  # other settings in the same folder are refused
+
+
+def test_a_wrong_corpus_folder_is_explained(
+    rooms: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["train", "--run", str(tmp_path / "run"), "--rooms", str(rooms)]
+    assert main([*command, "--speech-commands", str(tmp_path)]) == 2
+    assert "validation_list.txt" in capsys.readouterr().err
