@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 from model_export.scenes import SceneConfig
+from service.doa.spectrogram import PhaseReference
 
 Variant = Literal["weights", "regression"]
 
@@ -29,6 +30,10 @@ class TrainingConfig:
     """Width of the target's wrapped Gaussians in degrees"""
     count_weight: float = 0.0
     """Lambda of the source-count cross entropy (the paper's 0.5)"""
+    subspace_weight: float = 1.0
+    """Weight of the `regression` variant's subspace distance; 0 leaves the paper's loss"""
+    phase_reference: PhaseReference = "first"
+    """Phases of the `regression` variant's features; "absolute" is the paper's text"""
     array: str | None = None
     """Preset that the run is bound to; None draws random arrays from the room bank"""
     scenes: SceneConfig = field(default_factory=SceneConfig)
@@ -67,14 +72,12 @@ ANY_ARRAY = TrainingConfig(
 PAPER = TrainingConfig(
     name="paper",
     variant="regression",
-    steps=40000,
-    batch_size=32,
-    learning_rate=1e-3,
-    grid_size=360,
+    steps=20000,
     target_sigma_deg=5.0,
     count_weight=0.5,
     array="respeaker-usb-4mic-v2",
     scenes=SceneConfig(source_counts=(0.05, 0.5, 0.35, 0.10), snr_db=(0.0, 35.0)),
+    batches_per_chunk=12,
 )
 
 CONFIGS = {config.name: config for config in (ANY_ARRAY, PAPER)}

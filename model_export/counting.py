@@ -30,7 +30,7 @@ COUNTING_SCENES = SceneConfig(
 )
 
 
-class SourceCountNetwork(nn.Module):
+class CandidateCountNetwork(nn.Module):
     """Descriptors (B, 4, 8) to count logits (B, 5) and confidence logits (B, 4)."""
 
     mean: Tensor
@@ -102,10 +102,10 @@ def first_hits(candidates: FloatArray, azimuth: FloatArray) -> FloatArray:
 
 def train_counting(
     data: CountingData, validation: CountingData, *, epochs: int = 60, seed: int = 1
-) -> tuple[SourceCountNetwork, dict[str, float]]:
+) -> tuple[CandidateCountNetwork, dict[str, float]]:
     """Fit count and confidences by cross entropy; the best epoch on the validation data wins."""
     torch.manual_seed(seed)
-    network = SourceCountNetwork()
+    network = CandidateCountNetwork()
     inputs = torch.from_numpy(data.descriptors)
     network.mean.copy_(inputs.mean(0))
     network.scale.copy_(1 / (inputs.std(0) + 1e-3))
@@ -133,7 +133,7 @@ def train_counting(
 
 
 @torch.no_grad()
-def counting_scores(network: SourceCountNetwork, data: CountingData) -> dict[str, float]:
+def counting_scores(network: CandidateCountNetwork, data: CountingData) -> dict[str, float]:
     """Loss, count accuracy, and the calibration error of the confidences in ten bins."""
     logits, confidence = network(torch.from_numpy(data.descriptors))
     count, hit = torch.from_numpy(data.count).long(), torch.from_numpy(data.hit)

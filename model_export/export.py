@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -61,8 +62,10 @@ def export_onnx(graph: ExportGraph, path: Path) -> Graph:
     """Write one ONNX file and give its contract."""
     graph.network.eval()
     axes = {axis: torch.export.Dim(name, min=1, max=65536) for axis, name in graph.dynamic.items()}
+    # The exporter warns of its own internals and of libraries that it does not need.
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the exporter warns of its own internals
+        warnings.simplefilter("ignore")
         program = torch.onnx.export(
             graph.network,
             (graph.example,),

@@ -26,6 +26,8 @@ PARITY_WINDOWS = 4
 
 def export_regression(task: RegressionTask, folder: Path, fields: Mapping[str, Any]) -> Manifest:
     """Write a `regression` bundle; ``fields`` name and describe it (see ``Manifest``)."""
+    if task.config.phase_reference != "first":
+        raise ValueError("the service computes features with phase_reference 'first' only")
     pipeline, array = task.model, task.array
     pipeline.eval()
     windows = golden_windows(array, PARITY_WINDOWS)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from model_export.counting import SourceCountNetwork, collect, train_counting
+from model_export.counting import CandidateCountNetwork, collect, train_counting
 from model_export.export import digest
 from model_export.export_regression import export_regression
 from model_export.export_weights import candidate_search, export_weights
@@ -74,7 +74,7 @@ def _count_sources(
     validation_speech: Sequence[FloatArray],
     scenes: int,
     seed: int,
-) -> tuple[SourceCountNetwork, dict[str, float]]:
+) -> tuple[CandidateCountNetwork, dict[str, float]]:
     with tempfile.TemporaryDirectory() as folder:
         search = candidate_search(task.model, Path(folder))
         data = collect(search, RoomBank(rooms), speech, scenes, seed=seed)

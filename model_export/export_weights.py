@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from model_export.counting import MAX_SOURCES, SourceCountNetwork
+from model_export.counting import MAX_SOURCES, CandidateCountNetwork
 from model_export.export import (
     ExportGraph,
     export_onnx,
@@ -38,7 +38,7 @@ PARITY_WINDOWS = 4
 
 def export_weights(
     pipeline: WeightsPipeline,
-    source_count: SourceCountNetwork,
+    source_count: CandidateCountNetwork,
     folder: Path,
     fields: Mapping[str, Any],
 ) -> Manifest:
@@ -83,7 +83,7 @@ def covariance_graph(pipeline: WeightsPipeline) -> ExportGraph:
     )
 
 
-def count_graph(network: SourceCountNetwork) -> ExportGraph:
+def count_graph(network: CandidateCountNetwork) -> ExportGraph:
     """Candidates' descriptors to counts and confidences."""
     return ExportGraph(
         network,

@@ -38,7 +38,7 @@ from model_export.tasks import (
 )
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
-from service.doa.spectrogram import PhaseReference, spectrogram_features
+from service.doa.spectrogram import spectrogram_features
 from service.doa.steering import azimuth_grid
 from service.doa.types import FloatArray
 
@@ -130,21 +130,13 @@ def subspace_distance(projector: Tensor, products: Tensor, mask: Tensor) -> Tens
 class RegressionTask:
     """One array in low-order rooms: MSE on the fused spectrum, cross entropy on the count.
 
-    ``subspace_weight`` scales ``subspace_distance``; 0 leaves the paper's loss.
+    ``config.subspace_weight`` scales ``subspace_distance``; 0 leaves the paper's loss.
     """
 
-    def __init__(
-        self,
-        config: TrainingConfig,
-        *,
-        reference: PhaseReference = "first",
-        subspace_weight: float = 1.0,
-    ) -> None:
+    def __init__(self, config: TrainingConfig) -> None:
         if config.array is None:
             raise ValueError("the regression variant is bound to one array: name its preset")
         self.config = config
-        self.reference = reference
-        self.subspace_weight = subspace_weight
         self.array = preset(config.array)
         self.model = RegressionPipeline(self.array.num_microphones)
         self._chunks = 0
@@ -167,7 +159,9 @@ class RegressionTask:
         labels = padded_azimuths(scenes)
         grid = azimuth_grid(self.config.grid_size)
         return {
-            "features": torch.from_numpy(spectrogram_features(spectra, self.reference)),
+            "features": torch.from_numpy(
+                spectrogram_features(spectra, self.config.phase_reference)
+            ),
             "rotation": torch.tensor(rotation),
             "grid": torch.from_numpy(grid.astype(np.float32)),
             "azimuth": labels["azimuth"] + rotation,
@@ -190,7 +184,7 @@ class RegressionTask:
             ),
         }
         loss = losses["spectrum"] + self.config.count_weight * losses["count"]
-        return {"loss": loss + self.subspace_weight * losses["subspace"], **losses}
+        return {"loss": loss + self.config.subspace_weight * losses["subspace"], **losses}
 
     def scores(self, batch: Batch) -> dict[str, float]:
         result, count = self._run(batch)
