@@ -51,8 +51,9 @@ def windows(
     if buffer is None:
         return
     total = offset + buffer.shape[1]
-    while index == 0 or round((index - 1) * hop_s * sample_rate) + length < total:
-        start = round(index * hop_s * sample_rate)
+    while (start := round(index * hop_s * sample_rate)) < total:
+        if index and round((index - 1) * hop_s * sample_rate) + length >= total:
+            return
         audio = buffer[:, start - offset : start - offset + needed]
         padded = np.pad(audio, [(0, 0), (0, needed - audio.shape[1])])
         yield Window(index * hop_s, padded, min(length, total - start))

@@ -33,11 +33,11 @@ def test_any_split_gives_the_same_windows(
         np.testing.assert_array_equal(piece.audio[0, : expected.size], expected)
         assert (piece.audio[0, expected.size :] == 0).all()
         assert piece.heard == min(length, total - start)
-    # The last window, and no earlier one, reaches the end of the recording.
-    ends = [round(index * hop * RATE) + length for index in range(len(found))]
-    if hop <= window:
-        assert ends[-1] >= total
-    assert all(end < total for end in ends[:-1])
+    # The last window, and no earlier one, reaches the end; none begins behind it.
+    starts = [round(index * hop * RATE) for index in range(len(found))]
+    assert starts[-1] < total
+    assert starts[-1] + length >= total or round(len(found) * hop * RATE) >= total
+    assert all(start + length < total for start in starts[:-1])
 
 
 def test_a_short_recording_is_one_padded_window() -> None:
