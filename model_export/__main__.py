@@ -64,6 +64,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument(
         "--write-scores", action="store_true", help="put the scores into the bundles' manifests"
     )
+    evaluate.add_argument("--readme", type=Path, help="README whose results table to renew")
     evaluate.set_defaults(run_command=_evaluate)
 
     simulate = commands.add_parser("simulate", help="write simulated scenes with their metadata")
@@ -134,17 +135,20 @@ def _export(arguments: argparse.Namespace) -> None:
 
 
 def _evaluate(arguments: argparse.Namespace) -> None:
-    from model_export.evaluate import bundle_scores, run, write
+    from model_export.evaluate import run
     from model_export.export import update_scores
+    from model_export.results import update_readme
     from service.inference.bundle import read_manifest
 
     speech = load(speech_commands(arguments.speech_commands, "heldout"))
     results = run(arguments.bundle, speech, arguments.scenes)
-    write(results, arguments.out)
-    print((arguments.out / "results.md").read_text())
+    results.write(arguments.out)
+    print(results.document())
+    if arguments.readme:
+        update_readme(arguments.readme, results)
     if arguments.write_scores:
         for folder in arguments.bundle:
-            update_scores(folder, bundle_scores(results, read_manifest(folder)[0].name))
+            update_scores(folder, results.bundle_scores(read_manifest(folder)[0].name))
 
 
 def _simulate(arguments: argparse.Namespace) -> None:

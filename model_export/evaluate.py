@@ -7,10 +7,9 @@ it, with its own circular peaks, in two bands of which the better one counts.
 
 from __future__ import annotations
 
-import json
 import zlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ import numpy as np
 import pyroomacoustics as pra
 from rich.progress import track
 
+from model_export.results import PEER, Results
 from model_export.rooms import RoomSpec
 from model_export.simulate import Protocol, SimulatedScene, simulate_scene
 from service.doa.array import MicrophoneArray
@@ -63,24 +63,6 @@ Answer = Callable[[SimulatedScene, int | None], FloatArray]
 """A scene and its known count, or None, to azimuths in radians"""
 
 
-@dataclass(slots=True)
-class Results:
-    """Scores by cell and method."""
-
-    scenes: int
-    cells: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
-    protocols: dict[str, Any] = field(default_factory=dict)
-
-    def markdown(self, score: str = "median_error_deg") -> str:
-        """A table with a row per cell and a column per method."""
-        methods = list(next(iter(self.cells.values())))
-        lines = ["| cell | " + " | ".join(methods) + " |", "|---" * (len(methods) + 1) + "|"]
-        for cell, scores in self.cells.items():
-            values = [f"{scores[m][score]:.2f}" if m in scores else "" for m in methods]
-            lines.append(f"| {cell} | " + " | ".join(values) + " |")
-        return "\n".join(lines) + "\n"
-
-
 def run(
     bundles: Sequence[Path],
     speech: Sequence[FloatArray],
@@ -89,7 +71,7 @@ def run(
     cells: Sequence[Cell] = CELLS,
 ) -> Results:
     """Score all methods on ``scenes`` scenes a cell."""
-    results = Results(scenes)
+    results = Results(scenes, EVALUATION_SEED)
     for cell in cells:
         methods = answers(bundles, preset(cell.protocol.array))
         seed = zlib.crc32(cell.name.encode())
@@ -147,38 +129,10 @@ def _pyroomacoustics(array: MicrophoneArray, band: tuple[float, float]) -> Answe
 
 
 def _band_name(band: tuple[float, float]) -> str:
-    return f"pyroomacoustics NormMUSIC {band[0]:.0f}-{band[1]:.0f} Hz"
+    return f"{PEER} {band[0]:.0f}-{band[1]:.0f} Hz"
 
 
 def _keep_better_band(scores: dict[str, dict[str, float]]) -> None:
     """Of pyroomacoustics' bands only the one with the smaller MAAE stays, as its one row."""
     bands = [scores.pop(_band_name(band)) for band in BANDS]
-    scores["pyroomacoustics NormMUSIC"] = min(bands, key=lambda s: s["maae_deg"])
-
-
-def write(results: Results, folder: Path) -> None:
-    """``results.json`` and ``results.md`` with a table per score."""
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "results.json").write_text(json.dumps(asdict(results), indent=2) + "\n")
-    titles: Mapping[str, str] = {
-        "median_error_deg": "Median angular error, degrees",
-        "maae_deg": "Mean absolute angular error (a missing estimate counts 90), degrees",
-        "f1_10deg": "F1 at 10 degrees",
-        "count_accuracy": "Count accuracy",
-    }
-    tables = [f"{title} ({results.scenes} scenes a cell)\n\n{results.markdown(score)}"
-              for score, title in titles.items()]  # fmt: skip
-    (folder / "results.md").write_text("\n".join(tables))
-
-
-def bundle_scores(results: Results, name: str) -> dict[str, Any]:
-    """What a manifest carries of an evaluation."""
-    return {
-        "protocol": f"held-out speakers, seed {EVALUATION_SEED}, {results.scenes} scenes a cell; "
-        "ReSpeaker square in the paper's 7x7x3 m room unless the cell says otherwise",
-        "cells": {
-            cell: {key: round(value, 3) for key, value in scores[name].items()}
-            for cell, scores in results.cells.items()
-            if name in scores
-        },
-    }
+    scores[PEER] = min(bands, key=lambda s: s["maae_deg"])

@@ -1,0 +1,64 @@
+"""What the documents say is what the program and its results say."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from model_export.results import BEGIN, END, Results
+from service.doa.diagnostics import FindingCode
+from service.errors import DoaError
+from service.inference.bundle import read_manifest
+from service.settings import Settings, variable
+
+ROOT = Path(__file__).parents[2]
+RESULTS = Results.read(ROOT / "docs" / "results.json")
+
+
+def test_the_result_tables_are_those_of_the_results() -> None:
+    assert (ROOT / "docs" / "results.md").read_text() == RESULTS.document()
+    readme = (ROOT / "README.md").read_text()
+    assert readme[readme.index(BEGIN) : readme.index(END) + len(END)] == RESULTS.readme_block()
+
+
+def test_the_bundle_carries_the_results() -> None:
+    manifest, _ = read_manifest(ROOT / "service" / "models" / "any-array")
+    assert manifest.scores == RESULTS.bundle_scores("any-array")
+
+
+@pytest.mark.parametrize("page", [*sorted((ROOT / "docs").rglob("*.md")), ROOT / "README.md"])
+def test_links_between_documents_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
+        if "://" not in target:
+            assert (page.parent / target).exists(), target
+
+
+def test_variables_that_documents_name_exist() -> None:
+    known = {variable(name) for name in Settings.model_fields}
+    for page in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")):
+        assert set(re.findall(r"NEURALMUSIC_[A-Z_]+", page.read_text())) <= known
+
+
+def test_every_make_target_of_the_readme_exists() -> None:
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    for page in ("README.md", "CONTRIBUTING.md"):
+        assert (
+            set(re.findall(r"^make ([a-z]+)", (ROOT / page).read_text(), re.MULTILINE)) <= targets
+        )
+
+
+def subclasses(error: type[DoaError]) -> set[type[DoaError]]:
+    found = set(error.__subclasses__())
+    return found.union(*(subclasses(child) for child in found))
+
+
+def test_every_code_is_documented() -> None:
+    text = (ROOT / "docs" / "errors.md").read_text()
+    leaves = {error for error in subclasses(DoaError) if not error.__subclasses__()}
+    for error in leaves:
+        assert f"`{error.code}`" in text, error
+    for code in get_args(FindingCode):
+        assert f"`{code}`" in text
