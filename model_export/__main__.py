@@ -44,6 +44,7 @@ def _parser() -> argparse.ArgumentParser:
     train = commands.add_parser("train", help="train a network, or continue its run")
     train.add_argument("--config", choices=sorted(CONFIGS), default="any-array")
     train.add_argument("--run", type=Path, required=True, help="folder of the run")
+    train.add_argument("--init", type=Path, help="run to start from, where the config wants one")
     train.add_argument("--smoke", action="store_true", help="a few steps only, to try it out")
     _add_data(train)
     train.set_defaults(run_command=_train)
@@ -51,6 +52,7 @@ def _parser() -> argparse.ArgumentParser:
     export = commands.add_parser("export", help="train the source count and write a bundle")
     export.add_argument("--run", type=Path, required=True, help="folder of the trained run")
     export.add_argument("--out", type=Path, required=True, help="folder of the bundle")
+    export.add_argument("--name", help="the bundle's name (default: the configuration's)")
     export.add_argument("--version", default="0.1.0")
     export.add_argument("--counting-scenes", type=int, default=16000)
     _add_data(export)
@@ -113,6 +115,7 @@ def _train(arguments: argparse.Namespace) -> None:
         arguments.rooms,
         _speech(arguments, "train"),
         _speech(arguments, "development"),
+        init=arguments.init,
     )
 
 
@@ -123,6 +126,7 @@ def _export(arguments: argparse.Namespace) -> None:
     manifest = export_run(
         arguments.run,
         arguments.out,
+        name=arguments.name,
         version=arguments.version,
         rooms=arguments.rooms,
         speech=_speech(arguments, "train"),

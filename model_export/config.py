@@ -36,6 +36,8 @@ class TrainingConfig:
     """Phases of the `regression` variant's features; "absolute" is the paper's text"""
     array: str | None = None
     """Preset that the run is bound to; None draws random arrays from the room bank"""
+    starts_from: str | None = None
+    """Name of the run whose parameters this one starts from"""
     scenes: SceneConfig = field(default_factory=SceneConfig)
     batches_per_chunk: int = 6
     """Batches drawn from one chunk of rooms before the next is loaded"""
@@ -69,6 +71,19 @@ ANY_ARRAY = TrainingConfig(
     scenes=SceneConfig(source_counts=(0.0, 0.6, 0.3, 0.1)),
 )
 
+ANY_ARRAY_FINE = replace(
+    ANY_ARRAY,
+    name="any-array-fine",
+    starts_from="any-array",
+    steps=6000,
+    learning_rate=1e-3,
+    grid_size=180,
+    target_sigma_deg=4.0,
+    scenes=SceneConfig(source_counts=(0.0, 0.55, 0.35, 0.10), snr_db=(-8.0, 35.0)),
+    seed=2,
+)
+"""A finer grid and narrower targets, once the network knows where to look"""
+
 PAPER = TrainingConfig(
     name="paper",
     variant="regression",
@@ -80,7 +95,7 @@ PAPER = TrainingConfig(
     batches_per_chunk=12,
 )
 
-CONFIGS = {config.name: config for config in (ANY_ARRAY, PAPER)}
+CONFIGS = {config.name: config for config in (ANY_ARRAY, ANY_ARRAY_FINE, PAPER)}
 
 
 def smoke(config: TrainingConfig) -> TrainingConfig:

@@ -29,6 +29,7 @@ def export_run(
     run: Path,
     out: Path,
     *,
+    name: str | None,
     version: str,
     rooms: Path,
     speech: Sequence[FloatArray],
@@ -47,7 +48,7 @@ def export_run(
         "data": list(data),
     }
     fields = {
-        "name": config.name,
+        "name": name or config.name,
         "version": version,
         "description": DESCRIPTIONS[config.variant],
         "training": training,

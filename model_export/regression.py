@@ -77,7 +77,7 @@ class RegressionPipeline(nn.Module):
         ----------
         features : (B, 2N, 257, 64) real
         products : (257, N^2, A) real
-            The steering vectors' ``pair_products``, of the one array that all scenes share.
+            The steering vectors' ``delay_products``, of the one array that all scenes share.
         num_sources : (B,) int
             The true counts in training (teacher forcing).
         """
@@ -118,7 +118,7 @@ def subspace_distance(projector: Tensor, products: Tensor, mask: Tensor) -> Tens
     ----------
     projector : (B, F, N, N) complex
     products : (B, F, N^2, M) real
-        ``pair_products`` of the sources' steering vectors.
+        ``delay_products`` of the sources' directions.
     mask : (B, M) bool
         Which of them are sources.
     """
@@ -200,7 +200,7 @@ class RegressionTask:
 
 
 def rotated_products(array: MicrophoneArray, rotation: Tensor, azimuth: Tensor) -> Tensor:
-    """``pair_products`` (B, F, N^2, A) for azimuths (B, A) of the array turned counter-clockwise.
+    """``delay_products`` (B, F, N^2, A) for azimuths (B, A) of the array turned counter-clockwise.
 
     ``rotation`` is a scalar in radians.
     """

@@ -69,34 +69,19 @@ def dominance(covariance: Tensor, projector: Tensor) -> Tensor:
     return ((captured / total) - 1 / microphones) / (1 - 1 / microphones)
 
 
-def pair_products(steering: Tensor) -> Tensor:
-    """Real rows that turn quadratic forms into one real matrix product.
-
-    Parameters
-    ----------
-    steering : (..., N, A) complex
-
-    Returns
-    -------
-    products : (..., N + N (N - 1), A) real
-        |a_i|^2, then 2 Re and 2 Im of conj(a_i) a_j for i < j.
-    """
-    first, second = torch.triu_indices(steering.shape[-2], steering.shape[-2], 1)
-    cross = 2 * steering[..., first, :].conj() * steering[..., second, :]
-    return torch.cat([steering.abs() ** 2, cross.real, -cross.imag], dim=-2)
-
-
 def delay_products(delays: Tensor, frequencies: Tensor) -> Tensor:
-    """``pair_products`` of far-field steering vectors straight from their delays.
+    """Real columns that turn quadratic forms a^H R a into one real matrix product.
 
     Parameters
     ----------
     delays : (B, N, A) seconds
+        By which the microphones are ahead of the array's centre, for every direction.
     frequencies : (F,) hertz
 
     Returns
     -------
     products : (B, F, N^2, A) real
+        |a_n|^2 = 1, then 2 Re and 2 Im of conj(a_i) a_j for i < j, a being the steering vectors.
     """
     microphones = delays.shape[-2]
     first, second = torch.triu_indices(microphones, microphones, 1)
@@ -107,7 +92,7 @@ def delay_products(delays: Tensor, frequencies: Tensor) -> Tensor:
 
 
 def hermitian_rows(matrix: Tensor) -> Tensor:
-    """The N^2 real numbers of a Hermitian (..., N, N) in ``pair_products``' order."""
+    """The N^2 real numbers of a Hermitian (..., N, N) in ``delay_products``' order."""
     first, second = torch.triu_indices(matrix.shape[-1], matrix.shape[-1], 1)
     upper = matrix[..., first, second]
     return torch.cat([matrix.diagonal(dim1=-2, dim2=-1).real, upper.real, upper.imag], dim=-1)
@@ -121,7 +106,7 @@ def signal_power(projector: Tensor, products: Tensor) -> Tensor:
     projector : (..., F, K, N, N) complex
         K matrices that share the bin's steering vectors.
     products : (..., F, N^2, A) real
-        From ``pair_products``.
+        From ``delay_products``.
 
     Returns
     -------

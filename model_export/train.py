@@ -63,9 +63,12 @@ def train(
     speech: Sequence[FloatArray],
     validation_speech: Sequence[FloatArray],
     *,
+    init: Path | None = None,
     workers: int = 1,
 ) -> Task:
     """Train until ``config.steps``, continuing from the run folder's checkpoint if there is one.
+
+    ``init`` is the folder of the run that ``config.starts_from`` names.
 
     Returns
     -------
@@ -75,6 +78,7 @@ def train(
     run.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(config.seed)
     task = task_of(config)
+    _start_from(config, task, init)
     optimizer = torch.optim.AdamW(
         task.model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
     )
@@ -100,6 +104,18 @@ def train(
                 _checkpoint(run, step, task, optimizer, schedule)
     task.model.eval()
     return task
+
+
+def _start_from(config: TrainingConfig, task: Task, init: Path | None) -> None:
+    """Load the parameters of the run that the configuration starts from."""
+    if config.starts_from is None and init is None:
+        return
+    if config.starts_from is None or init is None:
+        raise ValueError(f"{config.name} starts from {config.starts_from}: name its run as init")
+    start, initial, _ = load_run(init)
+    if start.name != config.starts_from:
+        raise ValueError(f"{config.name} starts from {config.starts_from}, not from {start.name}")
+    task.model.load_state_dict(initial.model.state_dict())
 
 
 def load_run(run: Path) -> tuple[TrainingConfig, Task, int]:

@@ -95,7 +95,7 @@ class WeightsPipeline(nn.Module):
         features : (B, 4, F, L) real
         spectra : (B, N, F, L) complex
         products : (B, F, N^2, A) real
-            The steering vectors' ``pair_products``.
+            From ``delay_products``.
         """
         # bfloat16 halves the convolutions' cost on a CPU; what follows needs its digits.
         with torch.autocast(features.device.type, torch.bfloat16, enabled=self.training):

@@ -13,7 +13,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
 
-from service.errors import CapacityError, DoaError, InvalidOption
+from service.errors import DoaError, InvalidOption
 
 MEDIA_TYPE = "application/problem+json"
 TYPE_PREFIX = "urn:neuralmusic:problem:"
@@ -47,7 +47,7 @@ class Problem(BaseModel):
 
 def problem_response(error: DoaError) -> Response:
     """The response that an error becomes."""
-    headers = {"Retry-After": str(RETRY_AFTER)} if isinstance(error, CapacityError) else None
+    headers = {"Retry-After": str(RETRY_AFTER)} if error.retryable else None
     return _response(error.code, error.status, error.title, error.detail, headers)
 
 
@@ -66,7 +66,7 @@ def problem_responses(*errors: type[DoaError]) -> dict[int | str, dict[str, Any]
                 }
             },
         }
-        if any(issubclass(error, CapacityError) for error in alike):
+        if any(error.retryable for error in alike):
             seconds = {"description": "Seconds", "schema": {"type": "integer"}}
             responses[status]["headers"] = {"Retry-After": seconds}
     return responses

@@ -63,11 +63,6 @@ class MicrophoneArray:
         return float(pairwise_distances(self.positions).max())
 
     @property
-    def planar(self) -> bool:
-        """True where all microphones lie in one horizontal plane, so elevation has no sign."""
-        return bool(np.ptp(self.positions[:, 2]) < MIN_SPACING)
-
-    @property
     def linear(self) -> bool:
         """True where all microphones lie on one line, so front and back cannot be told apart."""
         centred = self.positions - self.positions.mean(axis=0)

@@ -55,12 +55,6 @@ def weighted_covariance(
     return covariance
 
 
-def hermitian(covariance: ComplexArray) -> ComplexArray:
-    """The Hermitian part (R + R^H) / 2 of (..., N, N) matrices."""
-    symmetric: ComplexArray = 0.5 * (covariance + np.conj(np.swapaxes(covariance, -1, -2)))
-    return symmetric
-
-
 def diagonal_loading(covariance: ComplexArray, loading: float) -> ComplexArray:
     """R + loading I; it bounds the eigenvalues from below and leaves the eigenvectors alone."""
     loaded: ComplexArray = covariance + loading * np.eye(

@@ -11,11 +11,11 @@ from model_export.subspace import (
     delay_products,
     dominance,
     hermitian_rows,
-    pair_products,
     signal_power,
     signal_projector,
 )
 from service.doa import subspace as served
+from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.steering import azimuth_grid, steering_vectors, unit_vectors
 
@@ -131,6 +131,13 @@ def test_the_projector_is_one() -> None:
     assert projector.diagonal().real.sum().item() == pytest.approx(3)
 
 
+def products_of(array: MicrophoneArray) -> Tensor:
+    """(F, N^2, 72) products of the array's steering vectors."""
+    centred = array.positions - array.positions.mean(axis=0)
+    delays = torch.from_numpy(centred @ unit_vectors(azimuth_grid(72)).T / 343.0)
+    return delay_products(delays[None].float(), torch.from_numpy(FREQUENCIES).float())[0]
+
+
 @pytest.mark.parametrize("num_sources", [1, 2, 3])
 def test_training_and_service_compute_the_same_spectra(num_sources: int) -> None:
     rng = np.random.default_rng(num_sources)
@@ -141,30 +148,18 @@ def test_training_and_service_compute_the_same_spectra(num_sources: int) -> None
     subspace = served.signal_subspace(covariance, num_sources)
     expected = served.music_spectrum(subspace, steering, floor=0.04)
     projector = signal_projector(torch.from_numpy(covariance), num_sources)
-    power = signal_power(projector[:, None], pair_products(torch.from_numpy(steering)))[:, 0]
+    power = signal_power(projector[:, None], products_of(ARRAY))[:, 0]
     spectrum = 1 / (1 - power.clamp(max=1) + 0.04)
     np.testing.assert_allclose(power, served.signal_power(subspace, steering), atol=1e-5)
     np.testing.assert_allclose(spectrum, expected, rtol=1e-3)
 
 
-def test_pair_products_are_quadratic_forms() -> None:
+def test_products_of_delays_are_quadratic_forms_of_the_steering_vectors() -> None:
     matrix = hermitian_with([-1.0, 0.2, 0.7, 2.0])
-    steering = torch.from_numpy(
-        np.random.default_rng(0).standard_normal((4, 9, 2)) @ np.array([1, 1j])
-    )
-    direct = torch.stack([(a.conj() @ matrix @ a).real for a in steering.T])
-    torch.testing.assert_close(hermitian_rows(matrix) @ pair_products(steering), direct)
-
-
-def test_products_of_delays_are_those_of_the_steering_vectors() -> None:
-    azimuth = azimuth_grid(36)
-    centred = ARRAY.positions - ARRAY.positions.mean(axis=0)
-    delays = torch.from_numpy(centred @ unit_vectors(azimuth).T / 343.0)
-    direct = pair_products(
-        torch.from_numpy(steering_vectors(ARRAY.positions, FREQUENCIES, azimuth))
-    )
-    products = delay_products(delays[None].float(), torch.from_numpy(FREQUENCIES).float())[0]
-    torch.testing.assert_close(products, direct, rtol=1e-4, atol=1e-4)
+    steering = steering_vectors(ARRAY.positions, FREQUENCIES, azimuth_grid(72))
+    direct = np.einsum("fna,nm,fma->fa", steering.conj(), matrix.numpy(), steering).real
+    forms = hermitian_rows(matrix).float() @ products_of(ARRAY)
+    np.testing.assert_allclose(forms, direct, rtol=1e-4, atol=1e-4)
 
 
 def test_dominance_is_one_for_a_plane_wave_and_zero_in_an_isotropic_field() -> None:

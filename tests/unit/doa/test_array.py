@@ -49,13 +49,9 @@ def test_positions_must_have_three_coordinates() -> None:
 def test_aperture_and_kind() -> None:
     square = MicrophoneArray("custom", SQUARE)
     assert square.aperture == pytest.approx(2 * np.sqrt(2) * 0.02285)
-    assert square.planar
     assert not square.linear
     line = MicrophoneArray("custom", np.array([[0, 0.03 * n, 0.0] for n in range(4)]))
     assert line.linear
-    raised = SQUARE.copy()
-    raised[0, 2] = 0.02
-    assert not MicrophoneArray("custom", raised).planar
 
 
 def test_a_translated_array_is_the_same_array_and_a_turned_one_is_not() -> None:
