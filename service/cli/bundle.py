@@ -106,16 +106,25 @@ def _print_one(console: Console, folder: Path, manifest: Manifest, digest: str) 
     drawn.add_row("folder", str(folder))
     drawn.add_row("sha256", digest)
     console.print(drawn)
-    for title, section in (
-        ("scores", manifest.scores),
-        ("training", manifest.training),
-        ("parity", manifest.parity),
-    ):
-        _print_section(console, title, section)
+    _print_scores(console, manifest.scores)
+    _print_section(console, "training", manifest.training)
+    _print_section(console, "parity", manifest.parity)
     line(console, "licences", "bold")
     for licence in manifest.licences:
         line(console, f"  {licence}")
     return _print_files(console, folder, manifest)
+
+
+def _print_scores(console: Console, scores: Mapping[str, Any]) -> None:
+    """A row per cell of the evaluation, a column per score, and whatever else there is."""
+    cells: Mapping[str, Mapping[str, float]] = scores.get("cells", {})
+    _print_section(console, "scores", {k: v for k, v in scores.items() if k != "cells"})
+    columns = list(dict.fromkeys(name for cell in cells.values() for name in cell))
+    drawn = table(console, "cell", *columns, right=tuple(columns))
+    for name, cell in cells.items():
+        drawn.add_row(name, *(f"{cell[c]:.3g}" if c in cell else "" for c in columns))
+    if cells:
+        console.print(drawn)
 
 
 def _print_section(console: Console, title: str, section: Mapping[str, Any]) -> None:

@@ -266,7 +266,7 @@ def manifest(**changes: Any) -> dict[str, Any]:
         "covariance": graph,
         "source_count": graph,
         "training": {"seed": 7, "config": {"steps": 1000}},
-        "scores": {"M=1": {"median_deg": 1.23456}},
+        "scores": {"cells": {"M=1": {"median_deg": 1.23456}}},
         "parity": {},
         "licences": ["CC BY 4.0 (Speech Commands)"],
         **changes,
@@ -289,8 +289,9 @@ def test_bundle_show_prints_the_manifest(bundle: Path, capsys: pytest.CaptureFix
     told = ["square 2.1.0", "[for tests]", "regression", "small", digest, "config.steps", "Speech"]
     assert [text for text in told if text not in out] == []
     assert out.splitlines()[-1] == "  golden.npz: 0 KiB, whole"
-    assert "M=1.median_deg" in out
-    assert "1.235" in out
+    scores = [line.split() for line in out.splitlines()]
+    assert ["cell", "median_deg"] in scores
+    assert ["M=1", "1.23"] in scores
 
 
 @pytest.mark.parametrize("content", [b"other", None])
