@@ -14,6 +14,7 @@ MIN_MICROPHONES = 2
 MAX_MICROPHONES = 32
 MIN_APERTURE = 0.01  # m; below it the delays vanish in the noise
 MAX_APERTURE = 2.0  # m; above it talkers are in the near field and the unit is suspect
+ROUNDING = 1e-6  # m; a ring of 5 mm radius computed from angles may miss 1 cm by a bit
 MIN_SPACING = 1e-4  # m; two microphones cannot stand at one point
 SPEED_OF_SOUND = 343.0  # m/s at 20 degrees Celsius
 
@@ -115,12 +116,12 @@ def validate_positions(positions: FloatArray) -> None:
         raise InvalidGeometry("microphone positions must be finite numbers")
     distances = pairwise_distances(positions)
     aperture = distances.max()
-    if aperture > MAX_APERTURE:
+    if aperture > MAX_APERTURE + ROUNDING:
         raise InvalidGeometry(
             f"the outermost microphones are {aperture:g} m apart (at most {MAX_APERTURE:g} m): "
             f"{_unit_hint(aperture)}"
         )
-    if 0 < aperture < MIN_APERTURE:
+    if 0 < aperture < MIN_APERTURE - ROUNDING:
         raise InvalidGeometry(
             f"the outermost microphones are {aperture * 1000:g} mm apart "
             f"(at least {MIN_APERTURE * 1000:g} mm): {_unit_hint(aperture)}"

@@ -5,35 +5,15 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
-import soundfile
 
 from model_export.__main__ import main
-from model_export.synthesis import synthetic_voice
 from service.audio import Recording
 from service.doa.presets import preset
 from service.inference.bundle import load_bundle
 from service.inference.recording import localize_recording
 from service.inference.registry import BundleRegistry
 from service.inference.results import LocalizeOptions
-
-SPEAKERS = [f"{index:08x}" for index in range(40)]
-
-
-@pytest.fixture(scope="module")
-def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Synthetic voices in the layout of Speech Commands."""
-    folder = tmp_path_factory.mktemp("speech_commands")
-    rng = np.random.default_rng(1)
-    (folder / "yes").mkdir()
-    for speaker in SPEAKERS:
-        soundfile.write(
-            folder / "yes" / f"{speaker}_nohash_0.wav", synthetic_voice(rng, 1.0), 16000
-        )
-    listed = "".join(f"yes/{speaker}_nohash_0.wav\n" for speaker in SPEAKERS[:4])
-    (folder / "validation_list.txt").write_text(listed)
-    return folder
 
 
 @pytest.fixture(scope="module")

@@ -54,6 +54,13 @@ def test_aperture_and_kind() -> None:
     assert line.linear
 
 
+def test_the_bounds_themselves_are_allowed() -> None:
+    for radius in (0.005, 1.0):
+        angles = 0.1 + np.arange(4) * np.pi / 2
+        ring = radius * np.stack([np.cos(angles), np.sin(angles), np.zeros(4)], axis=1)
+        assert MicrophoneArray("ring", ring).aperture == pytest.approx(2 * radius)
+
+
 def test_a_translated_array_is_the_same_array_and_a_turned_one_is_not() -> None:
     square = MicrophoneArray("custom", SQUARE)
     assert square.matches(MicrophoneArray("elsewhere", np.add(SQUARE, [0.3, -0.1, 1.0])))
