@@ -66,6 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument(
         "--write-scores", action="store_true", help="put the scores into the bundles' manifests"
     )
+    evaluate.add_argument("--figures", type=int, metavar="N", help="draw, with N scenes a point")
     evaluate.add_argument("--readme", type=Path, help="README whose results table to renew")
     evaluate.set_defaults(run_command=_evaluate)
 
@@ -148,6 +149,10 @@ def _evaluate(arguments: argparse.Namespace) -> None:
     results = run(arguments.bundle, speech, arguments.scenes)
     results.write(arguments.out)
     print(results.document())
+    if arguments.figures:
+        from model_export.figures import draw
+
+        draw(arguments.out, arguments.bundle, speech, arguments.figures)
     if arguments.readme:
         update_readme(arguments.readme, results)
     if arguments.write_scores:

@@ -31,7 +31,7 @@ COUNTING_SCENES = SceneConfig(
 
 
 class CandidateCountNetwork(nn.Module):
-    """Descriptors (B, 4, 8) to count logits (B, 5) and confidence logits (B, 4)."""
+    """Descriptors (B, 4, 12) to count logits (B, 5) and confidence logits (B, 4)."""
 
     mean: Tensor
     scale: Tensor
@@ -58,7 +58,7 @@ class CountingData:
     """Candidates of many scenes with their truth."""
 
     descriptors: FloatArray
-    """(S, 4, 8)"""
+    """(S, 4, 12)"""
     count: FloatArray
     """(S,) number of sources"""
     hit: FloatArray

@@ -40,6 +40,14 @@ the truth also where the others are not. The classical methods of this service u
 dimension where the count is unknown.
 """
 
+FIGURES = """## Figures
+
+![Error over SNR](error-over-snr.png)
+![Error over the angle between two talkers](error-over-separation.png)
+![Error over RT60](error-over-rt60.png)
+![Confidence against truth](reliability.png)
+"""
+
 
 @dataclass(slots=True)
 class Results:
@@ -68,7 +76,7 @@ class Results:
             f"## {title}\n\n{self.table(score, list(self.cells), methods)}"
             for score, title in TITLES.items()
         ]
-        return "\n".join([PREFACE.format(scenes=self.scenes, seed=self.seed), *tables])
+        return "\n".join([PREFACE.format(scenes=self.scenes, seed=self.seed), *tables, FIGURES])
 
     def table(self, score: str, cells: Sequence[str], methods: Sequence[str]) -> str:
         """A Markdown table with a row per cell and a column per method."""

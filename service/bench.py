@@ -104,14 +104,18 @@ def _time_stages(
         for w, (_, dominance) in zip(weighed, principals, strict=True)
     ]
     fusible = [(c, *a) for c, a in zip(cells, attended, strict=True)]
-    descriptors = [find_candidates(*each).descriptors[None] for each in fusible]
+    descriptors = [
+        find_candidates(*each, array.num_microphones).descriptors[None] for each in fusible
+    ]
     return {
         "stft": _time(lambda window: search.spectra(window[None]), windows),
         "covariance_net": _time(search.weigh, spectra),
         "covariance": _time(lambda pair: cell_covariances(*pair), weights),
         "evd": _time(principal_eigenvectors, covariances),
         "spectrum": _time(lambda pair: search.cell_spectra(pair[0]), principals),
-        "fusion_and_peaks": _time(lambda each: find_candidates(*each), fusible),
+        "fusion_and_peaks": _time(
+            lambda each: find_candidates(*each, array.num_microphones), fusible
+        ),
         "count_net": _time(lambda each: bundle.source_count.run([each]), descriptors),
     }
 

@@ -7,6 +7,7 @@ import numpy as np
 from service.doa import classical
 from service.doa.array import MicrophoneArray
 from service.doa.covariance import sample_covariance
+from service.doa.mirror import searched_half
 from service.doa.peaks import find_peaks
 from service.doa.steering import azimuth_grid, steering_vectors
 from service.doa.stft import Stft
@@ -32,6 +33,7 @@ class ClassicalLocalizer:
         frequencies = self._stft.frequencies
         self._band = (frequencies >= BAND[0]) & (frequencies <= BAND[1])
         self._steering = steering_vectors(array.positions, frequencies[self._band], azimuth_grid())
+        self._searched = searched_half(array, azimuth_grid())
         self._most_sources = array.num_microphones - 1
 
     def estimate(
@@ -59,7 +61,7 @@ class ClassicalLocalizer:
         """The known number of peaks, or all that stand out if the spectrum has a direction."""
         highest = float(spectrum.max())
         scaled = spectrum / np.float32(highest) if highest > 0 else spectrum
-        peaks = find_peaks(scaled, num_sources or max_sources)
+        peaks = find_peaks(np.where(self._searched, scaled, 0), num_sources or max_sources)
         mean = float(scaled.mean())
         if num_sources is None:
             directed = 1 - mean >= LEAST_CONTRAST[self._method]

@@ -173,6 +173,9 @@ def _warnings(
         detail = f"no loaded model fits the array {array.name}: {method} was used instead"
         found.append(AudioWarning("no_model_for_array", detail))
     if array.linear:
-        detail = "all microphones lie on one line: every direction has a mirror image"
+        detail = (
+            "all microphones lie on one line: every direction has a mirror image behind the line, "
+            "which is left out"
+        )
         found.append(AudioWarning("front_back_ambiguous", detail))
     return found

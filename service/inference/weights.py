@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from service.doa.array import MicrophoneArray
 from service.doa.covariance import diagonal_loading, weighted_covariance
 from service.doa.features import coherence_features
+from service.doa.mirror import into_searched_half
 from service.doa.steering import azimuth_grid, steering_vectors
 from service.doa.stft import Stft
 from service.doa.subspace import eigenvector_power
@@ -19,6 +20,8 @@ from service.inference.engine import Engine
 from service.inference.results import Source, WindowEstimate
 
 BLOCK_FRAMES = 8
+LEAST_CONFIDENCE = 0.5
+"""Where the number of sources is estimated, what is more likely wrong than right is left out"""
 CELL_LOADING = 1e-6
 """Of the frames' unit power: blocks that the network all but drops lose their dominance"""
 
@@ -44,6 +47,7 @@ class CandidateSearch:
 
     def __init__(self, covariance: Engine, analysis: Analysis, array: MicrophoneArray) -> None:
         self._covariance = covariance
+        self._array = array
         self._analysis = analysis
         self._bins = slice(analysis.first_bin, analysis.first_bin + analysis.num_bins)
         self._steering = steering_vectors(
@@ -65,7 +69,8 @@ class CandidateSearch:
         principal, dominance = principal_eigenvectors(cell_covariances(spectra, weights))
         cells = self.cell_spectra(principal)
         cell_attention, mean_dominance = self.attend(attention, dominance)
-        return find_candidates(cells, cell_attention, mean_dominance)
+        found = find_candidates(cells, cell_attention, mean_dominance, len(spectra))
+        return replace(found, azimuth=into_searched_half(self._array, found.azimuth))
 
     def spectra(self, windows: FloatArray) -> ComplexArray:
         """STFT of the band in whole blocks of frames: (B, N, F, L) complex64.
@@ -85,7 +90,7 @@ class CandidateSearch:
         return weights, attention
 
     def cell_spectra(self, principal: ComplexArray) -> FloatArray:
-        """Squared rank-one MUSIC of every cell: (F, N, K) to (F K, A) float32, maximum 1 each.
+        """Squared rank-one MUSIC of every cell: (F, N, K) to (F, K, A) float32, maximum 1 each.
 
         P / max P = (1 + floor - max p) / (1 + floor - p) with the power p = |u^H a|^2 / N, so that
         one pass over the megabytes is enough.
@@ -94,14 +99,14 @@ class CandidateSearch:
         np.subtract(np.float32(1 + self._analysis.floor), distance, out=distance)
         np.divide(distance.min(axis=-1, keepdims=True), distance, out=distance)
         np.square(distance, out=distance)
-        return distance.reshape(-1, distance.shape[-1])
+        return distance
 
     def attend(self, attention: FloatArray, dominance: FloatArray) -> tuple[FloatArray, float]:
         """What every cell counts in the fusion, from (F, L) and (F, K).
 
         Returns
         -------
-        cell_attention : (F K,) float32
+        cell_attention : (F, K) float32
         mean_dominance : float
             Weighted by the attention, in [0, 1].
         """
@@ -110,7 +115,7 @@ class CandidateSearch:
         attended = np.concatenate([attended, whole], axis=1)
         mean = float((attended * dominance).sum() / max(float(attended.sum()), 1e-9))
         cells = (attended * dominance**self._analysis.dominance_power).astype(np.float32)
-        return cells.reshape(-1), mean
+        return cells, mean
 
 
 def cell_covariances(spectra: ComplexArray, weights: FloatArray) -> ComplexArray:
@@ -169,14 +174,13 @@ class WeightsLocalizer:
         descriptors = np.stack([window.descriptors for window in candidates])
         count_logits, confidence_logits = self._source_count.run([descriptors])
         counts = np.argmax(count_logits, axis=-1)
-        confidence = 1 / (1 + np.exp(-confidence_logits))
+        # Windows unlike any in training, digital silence among them, give logits in the hundreds.
+        confidence = 1 / (1 + np.exp(-np.clip(confidence_logits, -30, 30)))
         return [
-            _select(
-                window,
-                confidence[index],
-                min(int(counts[index]), max_sources) if num_sources is None else num_sources,
-            )
-            for index, window in enumerate(candidates)
+            _select(window, chances, num_sources)
+            if num_sources is not None
+            else _select(window, chances, min(int(count), max_sources), LEAST_CONFIDENCE)
+            for window, chances, count in zip(candidates, confidence, counts, strict=True)
         ]
 
 
@@ -194,9 +198,12 @@ def analysis_of(bundle: Bundle) -> Analysis:
     )
 
 
-def _select(window: Candidates, confidence: FloatArray, count: int) -> WindowEstimate:
-    """The ``count`` candidates found first, most confident first."""
+def _select(
+    window: Candidates, confidence: FloatArray, count: int, least: float = 0.0
+) -> WindowEstimate:
+    """The ``count`` candidates found first that are confident enough, most confident first."""
     found = np.flatnonzero(np.isfinite(window.azimuth))[:count]
+    found = found[confidence[found] >= least]
     order = found[np.argsort(-confidence[found], kind="stable")]
     sources = tuple(
         Source(float(window.azimuth[index]), float(confidence[index])) for index in order

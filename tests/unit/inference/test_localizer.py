@@ -46,14 +46,20 @@ ARRAYS = {
 def test_one_talker_is_found_on_any_array(
     method: str, name: str, registry: BundleRegistry, plane_waves
 ) -> None:
-    truth = [3.0, 77.7, 181.2, 359.4]
+    truth = np.concatenate([[3.0, 77.7, 181.2, 359.4], 9.7 * np.arange(36)])
     array = ARRAYS[name]
     windows = np.stack([plane_waves(array, [t], seed=i) for i, t in enumerate(truth)])
-    for known in (1, None):
-        found = azimuths(localizer(method, array, registry).estimate(windows, known, 3))
-        assert [len(f) for f in found] == [1] * 4
-        errors = circular_error(np.concatenate(found), np.deg2rad(truth))
-        assert np.rad2deg(errors.max()) < 2.0
+    one = localizer(method, array, registry)
+    told = azimuths(one.estimate(windows, 1, 3))
+    assert [len(found) for found in told] == [1] * 40
+    assert np.rad2deg(circular_error(np.concatenate(told), np.deg2rad(truth)).max()) < 2.0
+    # Nobody counts without a mistake, but nine windows in ten hold the talker and nothing else.
+    counted = azimuths(one.estimate(windows, None, 3))
+    right = [
+        len(found) == 1 and np.rad2deg(circular_error(found[0], np.deg2rad(azimuth))) < 2.0
+        for found, azimuth in zip(counted, truth, strict=True)
+    ]
+    assert np.mean(right) >= 0.9
 
 
 def test_two_talkers_are_found_and_counted(registry: BundleRegistry, plane_waves) -> None:
@@ -66,6 +72,17 @@ def test_two_talkers_are_found_and_counted(registry: BundleRegistry, plane_waves
         assert np.rad2deg(maae(found, np.deg2rad(expected))) < 4.0
     counted = [len(f) for f in azimuths(neural.estimate(windows, None, 3))]
     assert np.mean(np.array(counted) == 2) >= 0.75
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_line_reports_one_source_in_front(
+    method: str, registry: BundleRegistry, plane_waves
+) -> None:
+    array = MicrophoneArray("custom", np.array([[0.0, 0.035 * n, 0.0] for n in range(4)]))
+    windows = np.stack([plane_waves(array, [t], seed=t) for t in (30, 320, 150)])
+    found = azimuths(localizer(method, array, registry).estimate(windows, None, 3))
+    assert [len(f) for f in found] == [1, 1, 1]
+    np.testing.assert_allclose(np.rad2deg(np.concatenate(found)), [30, 320, 30], atol=3)
 
 
 @pytest.mark.parametrize("method", METHODS)
