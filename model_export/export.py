@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 import torch
 from torch import nn
 
@@ -78,13 +79,24 @@ def export_onnx(graph: ExportGraph, path: Path) -> Graph:
         )
     assert program is not None
     program.save(str(path), external_data=False)
+    strip_metadata(path)
     return _contract(path)
+
+
+def strip_metadata(path: Path) -> None:
+    """Drop the exporter's stack traces from a graph: they hold the paths of the machine."""
+    model = onnx.load(path)
+    graph = model.graph
+    for part in (model, graph, *graph.node, *graph.value_info, *graph.input, *graph.output):
+        part.ClearField("metadata_props")
+        part.ClearField("doc_string")
+    for initializer in graph.initializer:
+        initializer.ClearField("metadata_props")
+    onnx.save(model, path)
 
 
 def _contract(path: Path) -> Graph:
     """Names and shapes as the file has them."""
-    import onnx
-
     model = onnx.load(path)
 
     def tensors(nodes: Any) -> list[Tensor]:
