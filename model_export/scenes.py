@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import scipy.fft
 
+from service.doa.scoring import circular_error
 from service.doa.types import FloatArray
 
-SAMPLE_RATE = 16000
 WINDOW_SAMPLES = 16640
 """64 STFT frames of 512 samples every 256"""
 DRY_SAMPLES = 32000
@@ -138,7 +138,7 @@ def _separated(
     """Up to ``count`` of the room's sources, pairwise at least ``separation`` apart."""
     chosen: list[int] = []
     for source in rng.permutation(len(azimuth)):
-        gaps = np.abs((azimuth[chosen] - azimuth[source] + np.pi) % (2 * np.pi) - np.pi)
+        gaps = circular_error(azimuth[chosen], azimuth[source])
         if len(chosen) < count and (gaps >= separation).all():
             chosen.append(int(source))
     return chosen

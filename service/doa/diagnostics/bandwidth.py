@@ -41,11 +41,12 @@ def _cliff(level: FloatArray, frequencies: FloatArray) -> float | None:
     # The highest level of all that lies above: one line up there and the spectrum has not ended.
     above = np.maximum.accumulate(level[::-1])[::-1]
     drops = np.zeros(len(level))
-    for index, frequency in enumerate(frequencies):
-        if LOWEST_EDGE <= frequency <= HIGHEST_EDGE * frequencies[-1]:
-            low, high = int(0.8 * index), int(0.95 * index) + 1
-            beyond = int(np.ceil(1.1 * index)) + 1
-            drops[index] = np.mean(level[low:high]) - above[beyond]
+    inside = (frequencies >= LOWEST_EDGE) & (frequencies <= HIGHEST_EDGE * frequencies[-1])
+    bins = np.flatnonzero(inside)
+    low, high = (0.8 * bins).astype(int), (0.95 * bins).astype(int) + 1
+    total = np.concatenate([[0.0], np.cumsum(level, dtype=np.float64)])
+    mean = (total[high] - total[low]) / (high - low)
+    drops[bins] = mean - above[np.ceil(1.1 * bins).astype(int) + 1]
     if drops.max() < CLIFF:
         return None
     # Every place within the span sees the cliff; the lowest that sees nearly all of it is its top.
