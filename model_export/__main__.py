@@ -10,12 +10,15 @@ from pathlib import Path
 import torch
 
 from model_export.config import CONFIGS, smoke
+from model_export.datasets.noise import noise_recordings
 from model_export.datasets.speech import Split, librispeech, load, speech_commands
 from service.doa.presets import PRESETS, preset
 from service.doa.types import FloatArray
 
 LIBRISPEECH_REPEATS = 6
 """Utterances stand this often among the words, so that a tenth of the scenes is running speech"""
+EVENT_REPEATS = 5
+"""Barks and cries among the words: one source in twenty"""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -91,13 +94,20 @@ def _add_data(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rooms", type=Path, required=True, help="folder of the room bank")
     parser.add_argument("--speech-commands", type=Path, required=True, help="corpus folder")
     parser.add_argument("--librispeech", type=Path, help="folder of utterances, optional")
+    parser.add_argument("--noise", type=Path, help="folder of noise recordings, optional")
 
 
 def _speech(arguments: argparse.Namespace, split: Split) -> list[FloatArray]:
     audio = load(speech_commands(arguments.speech_commands, split))
     if arguments.librispeech and split == "train":
         audio += load(librispeech(arguments.librispeech, split)) * LIBRISPEECH_REPEATS
+    if arguments.noise and split == "train":
+        audio += noise_recordings(arguments.noise, "events") * EVENT_REPEATS
     return audio
+
+
+def _noises(arguments: argparse.Namespace) -> list[FloatArray]:
+    return noise_recordings(arguments.noise, "steady") if arguments.noise else []
 
 
 def _rooms(arguments: argparse.Namespace) -> None:
@@ -116,6 +126,7 @@ def _train(arguments: argparse.Namespace) -> None:
         arguments.rooms,
         _speech(arguments, "train"),
         _speech(arguments, "development"),
+        noises=_noises(arguments),
         init=arguments.init,
     )
 
@@ -123,7 +134,11 @@ def _train(arguments: argparse.Namespace) -> None:
 def _export(arguments: argparse.Namespace) -> None:
     from model_export.export_run import export_run
 
-    corpora = ["Google Speech Commands"] + ["LibriSpeech"] * bool(arguments.librispeech)
+    corpora = {"Google Speech Commands, training speakers": "CC BY 4.0"}
+    if arguments.librispeech:
+        corpora["LibriSpeech, training speakers"] = "CC BY 4.0"
+    if arguments.noise:
+        corpora["ESC-10 and the background noise of Speech Commands"] = "CC BY 3.0, CC BY 4.0"
     manifest = export_run(
         arguments.run,
         arguments.out,
@@ -133,8 +148,9 @@ def _export(arguments: argparse.Namespace) -> None:
         speech=_speech(arguments, "train"),
         validation_speech=_speech(arguments, "development"),
         counting_scenes=arguments.counting_scenes,
-        data=[f"{corpus}, training speakers" for corpus in corpora],
-        licences=[f"{corpus}: CC BY 4.0" for corpus in corpora],
+        noises=_noises(arguments),
+        data=list(corpora),
+        licences=[f"{corpus}: {licence}" for corpus, licence in corpora.items()],
     )
     print(json.dumps({"training": manifest.training, "parity": manifest.parity}, indent=2))
 

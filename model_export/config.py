@@ -68,18 +68,19 @@ ANY_ARRAY = TrainingConfig(
     name="any-array",
     variant="weights",
     steps=4500,
-    scenes=SceneConfig(source_counts=(0.0, 0.6, 0.3, 0.1)),
+    grid_size=180,
+    target_sigma_deg=4.0,
+    scenes=SceneConfig(source_counts=(0.06, 0.50, 0.34, 0.10), snr_db=(-6.0, 35.0)),
 )
 
 ANY_ARRAY_FINE = replace(
     ANY_ARRAY,
     name="any-array-fine",
     starts_from="any-array",
-    steps=6000,
-    learning_rate=1e-3,
-    grid_size=180,
-    target_sigma_deg=4.0,
-    scenes=SceneConfig(source_counts=(0.0, 0.55, 0.35, 0.10), snr_db=(-8.0, 35.0)),
+    steps=2000,
+    learning_rate=5e-4,
+    grid_size=240,
+    target_sigma_deg=3.0,
     seed=2,
 )
 """A finer grid and narrower targets, once the network knows where to look"""

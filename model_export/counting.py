@@ -15,28 +15,32 @@ import torch
 import torch.nn.functional as F
 from rich.progress import track
 from torch import Tensor, nn
+from torch.utils.data import DataLoader, Dataset
 
-from model_export.scenes import RoomBank, SceneConfig, draw_scene
+from model_export.scenes import RoomBank, Scene, SceneConfig, draw_scene
 from service.doa.array import MicrophoneArray
 from service.doa.scoring import circular_error
 from service.doa.types import FloatArray
-from service.inference.candidates import NUM_CANDIDATES, NUM_DESCRIPTORS
+from service.inference.candidates import NUM_CANDIDATES
+from service.inference.descriptors import NUM_DESCRIPTORS
 from service.inference.weights import CandidateSearch
 
 HIT = np.deg2rad(10.0)
 MAX_SOURCES = 4
+GROUP = 64
+"""Scenes from one chunk of rooms"""
 COUNTING_SCENES = SceneConfig(
-    source_counts=(0.2, 0.35, 0.25, 0.15, 0.05), snr_db=(-5.0, 35.0), min_separation=np.deg2rad(15)
+    source_counts=(0.2, 0.35, 0.25, 0.15, 0.05), snr_db=(-5.0, 35.0), min_separation=np.deg2rad(10)
 )
 
 
 class CandidateCountNetwork(nn.Module):
-    """Descriptors (B, 4, 12) to count logits (B, 5) and confidence logits (B, 4)."""
+    """Descriptors (B, 4, D) to count logits (B, 5) and confidence logits (B, 4)."""
 
     mean: Tensor
     scale: Tensor
 
-    def __init__(self, hidden: int = 64) -> None:
+    def __init__(self, hidden: int = 96) -> None:
         super().__init__()
         inputs = NUM_CANDIDATES * NUM_DESCRIPTORS
         self.register_buffer("mean", torch.zeros(NUM_CANDIDATES, NUM_DESCRIPTORS))
@@ -58,11 +62,37 @@ class CountingData:
     """Candidates of many scenes with their truth."""
 
     descriptors: FloatArray
-    """(S, 4, 12)"""
+    """(S, 4, D)"""
     count: FloatArray
     """(S,) number of sources"""
     hit: FloatArray
     """(S, 4) 1 where the candidate is a source that no earlier candidate is"""
+
+
+class _SceneGroups(Dataset[list[Scene]]):
+    """Seeded groups of scenes that share a chunk of rooms."""
+
+    def __init__(
+        self,
+        bank: RoomBank,
+        speech: Sequence[FloatArray],
+        noises: Sequence[FloatArray],
+        num_scenes: int,
+        seed: int,
+    ) -> None:
+        self.bank, self.speech, self.noises, self.seed = bank, speech, noises, seed
+        self.sizes = [min(GROUP, num_scenes - start) for start in range(0, num_scenes, GROUP)]
+
+    def __len__(self) -> int:
+        return len(self.sizes)
+
+    def __getitem__(self, index: int) -> list[Scene]:
+        rng = np.random.default_rng([self.seed, 77, index])
+        chunk = self.bank.chunk(rng)
+        return [
+            draw_scene(rng, chunk, self.speech, COUNTING_SCENES, noises=self.noises)
+            for _ in range(self.sizes[index])
+        ]
 
 
 def collect(
@@ -71,20 +101,20 @@ def collect(
     speech: Sequence[FloatArray],
     num_scenes: int,
     seed: int,
+    *,
+    noises: Sequence[FloatArray] = (),
 ) -> CountingData:
     """Run the candidate search that serves over simulated scenes."""
-    rng = np.random.default_rng([seed, 77])
+    groups = _SceneGroups(bank, speech, noises, num_scenes, seed)
     descriptors, counts, hits = [], [], []
-    chunk = bank.chunk(rng)
-    for index in track(range(num_scenes), description="collecting candidates"):
-        if index % 64 == 0:
-            chunk = bank.chunk(rng)
-        scene = draw_scene(rng, chunk, speech, COUNTING_SCENES)
-        search = search_for(MicrophoneArray("random", scene.positions))
-        (candidates,) = search.candidates(scene.audio[None])
-        descriptors.append(candidates.descriptors)
-        counts.append(len(scene.azimuth))
-        hits.append(first_hits(candidates.azimuth, scene.azimuth))
+    loader = DataLoader(groups, batch_size=None, num_workers=1)
+    for scenes in track(loader, description="collecting candidates", total=len(groups)):
+        for scene in scenes:
+            search = search_for(MicrophoneArray("random", scene.positions))
+            (candidates,) = search.candidates(scene.audio[None])
+            descriptors.append(candidates.descriptors)
+            counts.append(len(scene.azimuth))
+            hits.append(first_hits(candidates.azimuth, scene.azimuth))
     return CountingData(np.stack(descriptors), np.array(counts), np.stack(hits))
 
 

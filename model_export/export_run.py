@@ -35,6 +35,7 @@ def export_run(
     speech: Sequence[FloatArray],
     validation_speech: Sequence[FloatArray],
     counting_scenes: int,
+    noises: Sequence[FloatArray] = (),
     data: Sequence[str],
     licences: Sequence[str],
 ) -> Manifest:
@@ -60,7 +61,7 @@ def export_run(
         return export_regression(task, out, fields)
     assert isinstance(task, WeightsTask)
     network, scores = _count_sources(
-        task, rooms, speech, validation_speech, counting_scenes, config.seed
+        task, rooms, speech, validation_speech, noises, counting_scenes, config.seed
     )
     training["counting_scenes"] = counting_scenes
     training["counting_validation"] = {name: round(value, 4) for name, value in scores.items()}
@@ -73,12 +74,14 @@ def _count_sources(
     rooms: Path,
     speech: Sequence[FloatArray],
     validation_speech: Sequence[FloatArray],
+    noises: Sequence[FloatArray],
     scenes: int,
     seed: int,
 ) -> tuple[CandidateCountNetwork, dict[str, float]]:
     with tempfile.TemporaryDirectory() as folder:
         search = candidate_search(task.model, Path(folder))
-        data = collect(search, RoomBank(rooms), speech, scenes, seed=seed)
+        data = collect(search, RoomBank(rooms), speech, scenes, seed, noises=noises)
         bank = RoomBank(rooms, validation=True)
-        held = collect(search, bank, validation_speech, max(16, scenes // 8), seed=seed + 1)
+        fewer = max(16, scenes // 8)
+        held = collect(search, bank, validation_speech, fewer, seed + 1, noises=noises)
     return train_counting(data, held)

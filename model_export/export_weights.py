@@ -23,9 +23,10 @@ from model_export.weights import WeightsPipeline
 from service.doa.array import MicrophoneArray
 from service.doa.features import NUM_FEATURES, coherence_features
 from service.doa.presets import preset
-from service.doa.steering import azimuth_grid
+from service.doa.steering import azimuth_grid, resolution
 from service.doa.types import FloatArray
-from service.inference.candidates import NUM_CANDIDATES, NUM_DESCRIPTORS
+from service.inference.candidates import NUM_CANDIDATES
+from service.inference.descriptors import NUM_DESCRIPTORS
 from service.inference.engine import Engine
 from service.inference.manifest import Manifest
 from service.inference.weights import Analysis, CandidateSearch
@@ -129,10 +130,12 @@ def reference_spectra(
     delays = steering_delays(array.positions[None], azimuth_grid(GRID_SIZE))
     frequencies = torch.from_numpy(STFT.frequencies[FIRST_BIN:]).float()
     products = delay_products(torch.from_numpy(delays), frequencies)
+    resolved = resolution(array.positions, STFT.frequencies[FIRST_BIN:])
     result = pipeline(
         torch.from_numpy(coherence_features(spectra)),
         torch.from_numpy(spectra),
         products.expand(len(windows), -1, -1, -1),
+        resolution=torch.full((len(windows),), resolved),
     )
     fused: FloatArray = result.fused.numpy()
     return fused

@@ -220,20 +220,21 @@ def simulate_array_chunk(
     Returns
     -------
     chunk : dict
-        As ``rooms.simulate_chunk`` gives, without ``distance``, ``elevation`` and ``room``.
+        As ``rooms.simulate_chunk`` gives, without ``elevation`` and ``room``.
     """
     rng = np.random.default_rng(seed)
-    responses, azimuths, diffuse = [], [], []
+    responses, azimuths, distances, diffuse = [], [], [], []
     for _ in range(rooms.CHUNK_ROOMS):
         room = rooms.random_room(rng)
         while room.max_order is None:
             room = rooms.random_room(rng)
-        sources, azimuth, _, _ = rooms.place_sources(rng, room, rooms.SOURCES_PER_ROOM)
+        sources, azimuth, _, distance = rooms.place_sources(rng, room, rooms.SOURCES_PER_ROOM)
         jittered = array.positions + rng.normal(scale=0.001, size=array.positions.shape)
         simulated = rooms.impulse_responses(room, jittered, sources, longest=RESPONSE_SAMPLES)
         peaks = np.abs(simulated).max(axis=(1, 2), keepdims=True)
         responses.append((simulated / peaks).astype(np.float16))
         azimuths.append(azimuth)
+        distances.append(distance)
     # The slowest part by far; scenes shift the noise in time, so that few fields go a long way.
     for _ in range(DIFFUSE_FIELDS):
         noise = rooms.diffuse_noise(rng, array.positions, rooms.NOISE_SAMPLES)
@@ -242,5 +243,6 @@ def simulate_array_chunk(
         "responses": np.stack(responses),
         "positions": np.repeat(array.positions[None], rooms.CHUNK_ROOMS, axis=0),
         "azimuth": np.stack(azimuths),
+        "distance": np.stack(distances),
         "diffuse": np.stack(diffuse)[np.arange(rooms.CHUNK_ROOMS) % DIFFUSE_FIELDS],
     }

@@ -13,12 +13,27 @@ from pathlib import Path
 import numpy as np
 import scipy.fft
 
+from model_export.imperfections import band_limit, crosstalk, mismatch, quantised
+from model_export.noise import (
+    colour,
+    coupled_noise,
+    excerpt,
+    fan,
+    sensor_noise,
+    shaped_like,
+    unit_power,
+)
+from service.doa.array import SPEED_OF_SOUND
 from service.doa.scoring import circular_error
 from service.doa.types import FloatArray
 
 WINDOW_SAMPLES = 16640
 """64 STFT frames of 512 samples every 256"""
 DRY_SAMPLES = 32000
+SAMPLE_RATE = 16000
+RESPONSE_DELAY = 40
+"""Samples by which pyroomacoustics' fractional delays are late"""
+DIRECT_SECONDS = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,12 +48,17 @@ class SceneConfig:
     """Signal-to-noise ratio against all noise, uniform"""
     level_difference_db: float = 3.0
     """Talkers differ by up to this much"""
-    gain_mismatch_db: float = 1.0
-    """Standard deviation of the microphones' gains"""
+    position_error: float = 0.0015
+    """Metres, standard deviation of the microphones against their nominal places"""
     diffuse: float = 0.5
+    recorded: float = 0.4
+    """Of the diffuse noises, where recordings are given"""
     coupled: float = 0.15
+    machine: float = 0.15
+    """Steady noise from one place that is no talker; more often where nobody talks"""
     crosstalk: float = 0.15
     band_limit: float = 0.12
+    quantised: float = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +71,10 @@ class Scene:
     """(N, 3) nominal microphone positions in metres"""
     azimuth: FloatArray
     """(M,) radians"""
-    snr_db: float
+    direct: FloatArray
+    """(M, T) float32: the talkers' direct sound at the first microphone"""
+    heard: FloatArray
+    """(T,) float32: all that the first microphone hears, before its imperfections"""
 
 
 class RoomBank:
@@ -77,25 +100,42 @@ def draw_scene(
     chunk: dict[str, FloatArray],
     speech: Sequence[FloatArray],
     config: SceneConfig,
+    *,
+    noises: Sequence[FloatArray] = (),
 ) -> Scene:
-    """A random scene in a random room of the chunk."""
+    """A random scene in a random room of the chunk; ``noises`` are steady mono recordings."""
     room = int(rng.integers(len(chunk["positions"])))
     positions = chunk["positions"][room]
     count = int(rng.choice(len(config.source_counts), p=config.source_counts))
     chosen = _separated(rng, chunk["azimuth"][room], count, config.min_separation)
     start = int(rng.integers(0, DRY_SAMPLES - WINDOW_SAMPLES))
     audio = np.zeros((len(positions), WINDOW_SAMPLES), dtype=np.float32)
-    for source in chosen:
+    direct = np.zeros((len(chosen), WINDOW_SAMPLES), dtype=np.float32)
+    for rank, source in enumerate(chosen):
+        responses = chunk["responses"][room, source].astype(np.float32)
+        first = direct_response(responses[0], float(chunk["distance"][room, source]))
         dry = dry_speech(rng, speech, start)
-        wet = convolve(dry, chunk["responses"][room, source].astype(np.float32))
-        wet = wet[:, start : start + WINDOW_SAMPLES]
+        wet = convolve(dry, np.concatenate([responses, first[None]]))
         level = 10 ** (rng.uniform(-1, 1) * config.level_difference_db / 40)
-        audio += np.float32(level) * unit_power(wet)
+        wet = np.float32(level) * unit_power(wet[:, start : start + WINDOW_SAMPLES])
+        audio += wet[:-1]
+        direct[rank] = wet[-1]
     snr_db = float(rng.uniform(*config.snr_db))
-    noise = _noise(rng, chunk["diffuse"][room].astype(np.float32), config)
+    noise = _noise(rng, chunk, room, chosen, config, noises)
     audio += noise * np.float32(10 ** (-snr_db / 20)) if len(chosen) else noise
+    heard = audio[0].copy()
     audio = _imperfections(rng, audio, config)
-    return Scene(audio, positions, chunk["azimuth"][room, chosen], snr_db)
+    error = rng.normal(scale=config.position_error * rng.random(), size=positions.shape)
+    return Scene(audio, positions + error, chunk["azimuth"][room, chosen], direct, heard)
+
+
+def direct_response(response: FloatArray, distance: float) -> FloatArray:
+    """A response (K,) up to a millisecond after the direct sound has arrived."""
+    arrival = distance / SPEED_OF_SOUND * SAMPLE_RATE + RESPONSE_DELAY
+    kept = np.zeros_like(response)
+    end = round(arrival + DIRECT_SECONDS * SAMPLE_RATE)
+    kept[:end] = response[:end]
+    return kept
 
 
 def dry_speech(rng: np.random.Generator, speech: Sequence[FloatArray], start: int) -> FloatArray:
@@ -126,12 +166,6 @@ def convolve(dry: FloatArray, responses: FloatArray) -> FloatArray:
     return wet
 
 
-def unit_power(audio: FloatArray) -> FloatArray:
-    """Scale (N, T) audio to unit variance at its first microphone."""
-    power = float(np.mean(audio[0].astype(np.float64) ** 2))
-    return audio / np.float32(np.sqrt(max(power, 1e-12)))
-
-
 def _separated(
     rng: np.random.Generator, azimuth: FloatArray, count: int, separation: float
 ) -> list[int]:
@@ -144,45 +178,47 @@ def _separated(
     return chosen
 
 
-def _noise(rng: np.random.Generator, diffuse: FloatArray, config: SceneConfig) -> FloatArray:
-    """Unit-power mixture of sensor noise, coloured diffuse noise and coupled noise, (N, T)."""
-    shape = diffuse.shape
-    noise = rng.standard_normal(shape, dtype=np.float32) * np.float32(rng.uniform(0.05, 1))
+def _noise(
+    rng: np.random.Generator,
+    chunk: dict[str, FloatArray],
+    room: int,
+    chosen: Sequence[int],
+    config: SceneConfig,
+    noises: Sequence[FloatArray],
+) -> FloatArray:
+    """Unit-power mixture of sensor, diffuse, coupled and machine noise, (N, T)."""
+    shape = chunk["diffuse"][room].shape
+    mixture = sensor_noise(rng, shape) * np.float32(rng.uniform(0.05, 1))
     if rng.random() < config.diffuse:
-        shifted = np.roll(diffuse, int(rng.integers(shape[1])), axis=1)
-        noise += unit_power(_colour(rng, shifted)) * np.float32(rng.uniform(0.2, 3))
+        diffuse = np.roll(chunk["diffuse"][room], int(rng.integers(shape[1])), axis=1)
+        diffuse = diffuse.astype(np.float32)
+        if noises and rng.random() < config.recorded:
+            diffuse = shaped_like(diffuse, excerpt(rng, noises, shape[1]))
+        else:
+            diffuse = colour(rng, diffuse)
+        mixture += unit_power(diffuse) * np.float32(rng.uniform(0.2, 3))
     if rng.random() < config.coupled:
-        common = _colour(rng, rng.standard_normal((1, shape[1]), dtype=np.float32))
-        # One converter feeds two or four channels; what couples into it is in phase in them.
-        members = rng.random(shape[0]) < rng.choice([0.5, 1.0])
-        noise += members[:, None] * unit_power(common) * np.float32(rng.uniform(0.05, 0.7))
-    return unit_power(noise)
-
-
-def _colour(rng: np.random.Generator, noise: FloatArray) -> FloatArray:
-    """Give noise (N, T) a random spectral slope and a random resonance."""
-    spectrum = scipy.fft.rfft(noise, axis=-1)
-    frequency = np.linspace(1e-3, 1, spectrum.shape[-1], dtype=np.float32)
-    slope = frequency ** np.float32(-rng.uniform(0, 1.2))
-    centre, width = rng.uniform(0.02, 0.8), rng.uniform(0.02, 0.3)
-    resonance = 1 + rng.uniform(0, 4) * np.exp(-0.5 * ((frequency - centre) / width) ** 2)
-    coloured: FloatArray = scipy.fft.irfft(
-        spectrum * np.minimum(slope, 100) * resonance.astype(np.float32), noise.shape[-1], axis=-1
-    )
-    return coloured
+        mixture += coupled_noise(rng, shape) * np.float32(rng.uniform(0.05, 0.7))
+    mixture = unit_power(mixture)
+    free = np.setdiff1d(np.arange(len(chunk["azimuth"][room])), chosen)
+    if len(free) and rng.random() < (config.machine if len(chosen) else 4 * config.machine):
+        steady = (
+            excerpt(rng, noises, DRY_SAMPLES)
+            if noises and rng.random() < 0.5
+            else fan(rng, DRY_SAMPLES)
+        )
+        responses = chunk["responses"][room, rng.choice(free)].astype(np.float32)
+        machine = convolve(steady, responses)[:, -shape[1] - responses.shape[1] :][:, : shape[1]]
+        mixture = unit_power(mixture + unit_power(machine) * np.float32(rng.uniform(0.3, 3)))
+    return mixture
 
 
 def _imperfections(rng: np.random.Generator, audio: FloatArray, config: SceneConfig) -> FloatArray:
-    """Unequal gains, crosstalk between neighbouring channels, a band limit."""
-    microphones = audio.shape[0]
-    gains = 10 ** (rng.normal(scale=config.gain_mismatch_db, size=(microphones, 1)) / 20)
-    audio = audio * gains.astype(np.float32)
+    audio = mismatch(rng, audio)
     if rng.random() < config.crosstalk:
-        leak = np.float32(10 ** (rng.uniform(-45, -22) / 20))
-        audio = audio + leak * np.roll(audio, 1, axis=0)
+        audio = crosstalk(rng, audio)
     if rng.random() < config.band_limit:
-        spectrum = scipy.fft.rfft(audio, axis=-1)
-        edge = int(spectrum.shape[-1] * rng.uniform(0.4, 0.95))
-        spectrum[:, edge:] *= np.float32(1e-3)
-        audio = scipy.fft.irfft(spectrum, audio.shape[-1], axis=-1)
-    return audio.astype(np.float32)
+        audio = band_limit(rng, audio)
+    if rng.random() < config.quantised:
+        audio = quantised(rng, audio)
+    return audio

@@ -16,8 +16,9 @@ import numpy as np
 import soundfile
 from rich.progress import track
 
+from model_export.noise import unit_power
 from model_export.rooms import SAMPLE_RATE, RoomSpec, impulse_responses, paper_room
-from model_export.scenes import WINDOW_SAMPLES, convolve, unit_power
+from model_export.scenes import WINDOW_SAMPLES, convolve
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.scoring import circular_error

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from model_export.config import TrainingConfig
@@ -16,13 +17,17 @@ from model_export.targets import spectrum_cross_entropy, target_spectrum
 from model_export.weights import FusedSpectrum, WeightsPipeline
 from service.doa.array import SPEED_OF_SOUND
 from service.doa.features import coherence_features
-from service.doa.steering import unit_vectors
+from service.doa.steering import resolution, unit_vectors
 from service.doa.stft import Stft
 from service.doa.types import FloatArray
 
 Batch = dict[str, Tensor]
 MAX_SOURCES = 4
 STFT = Stft()
+BIN_STEP = 2
+"""Every other bin, from a random one on, forms spectra in training"""
+SHARE_WEIGHT = 2.0
+"""Weight of the direct sound's share against the spectra's cross entropy"""
 
 
 class Task(Protocol):
@@ -61,14 +66,20 @@ class WeightsTask:
 
     def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch:
         spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))[:, :, 1:]
+        bins = np.arange(rng.integers(BIN_STEP), spectra.shape[2], BIN_STEP)
         offset = rng.uniform(0, 2 * np.pi / self.config.grid_size)
         grid = offset + np.arange(self.config.grid_size) * (2 * np.pi / self.config.grid_size)
-        delays = steering_delays(np.stack([scene.positions for scene in scenes]), grid)
+        positions = np.stack([scene.positions for scene in scenes])
+        shares = np.stack([direct_share(scene) for scene in scenes])
+        resolutions = [resolution(array, STFT.frequencies[1:]) for array in positions]
         return {
             "features": torch.from_numpy(coherence_features(spectra)),
-            "spectra": torch.from_numpy(spectra),
-            "delays": torch.from_numpy(delays),
+            "spectra": torch.from_numpy(np.ascontiguousarray(spectra[:, :, bins])),
+            "bins": torch.from_numpy(bins),
+            "delays": torch.from_numpy(steering_delays(positions, grid)),
+            "resolution": torch.tensor(resolutions),
             "grid": torch.from_numpy(grid.astype(np.float32)),
+            "direct_share": torch.from_numpy(shares),
             **padded_azimuths(scenes),
         }
 
@@ -76,15 +87,43 @@ class WeightsTask:
         result = self._run(batch)
         sigma = float(np.deg2rad(self.config.target_sigma_deg))
         target = target_spectrum(batch["azimuth"], batch["mask"], batch["grid"], sigma)
-        return {"loss": spectrum_cross_entropy(result.fused, target, result.sharpness)}
+        losses = {
+            "spectrum": spectrum_cross_entropy(result.fused, target, result.sharpness),
+            "share": F.binary_cross_entropy_with_logits(result.direct_share, batch["direct_share"]),
+        }
+        return {"loss": losses["spectrum"] + SHARE_WEIGHT * losses["share"], **losses}
 
     def scores(self, batch: Batch) -> dict[str, float]:
         return {"peak_error_deg": nearest_peak_error(self._run(batch).fused, batch)}
 
     def _run(self, batch: Batch) -> FusedSpectrum:
-        products = delay_products(batch["delays"], torch.from_numpy(STFT.frequencies[1:]).float())
-        result: FusedSpectrum = self.model(batch["features"], batch["spectra"], products)
+        frequencies = torch.from_numpy(STFT.frequencies[1:]).float()[batch["bins"]]
+        result: FusedSpectrum = self.model(
+            batch["features"],
+            batch["spectra"],
+            delay_products(batch["delays"], frequencies),
+            resolution=batch["resolution"],
+            bins=batch["bins"],
+        )
         return result
+
+
+def direct_share(scene: Scene) -> FloatArray:
+    """Share of the strongest talker's direct sound in every cell, (F, L) float32 in [0, 1].
+
+    At the first microphone, |D|^2 / (|D|^2 + |X - D|^2) of the talker that is strongest there; 0
+    without talkers. It is what the weights should follow, known only where scenes are simulated.
+    """
+    heard = STFT.transform(scene.heard)[1:]
+    if not len(scene.direct):
+        return np.zeros(heard.shape, dtype=np.float32)
+    direct = STFT.transform(scene.direct)[:, 1:]
+    powers = direct.real**2 + direct.imag**2  # (M, F, L)
+    strongest = powers.argmax(axis=0)[None]
+    rest = heard - np.take_along_axis(direct, strongest, axis=0)[0]
+    power = np.take_along_axis(powers, strongest, axis=0)[0]
+    share: FloatArray = power / (power + rest.real**2 + rest.imag**2 + np.float32(1e-12))
+    return share.astype(np.float32)
 
 
 def steering_delays(positions: FloatArray, azimuth: FloatArray) -> FloatArray:

@@ -36,9 +36,10 @@ class SceneStream(IterableDataset[Batch]):
         bank: RoomBank,
         speech: Sequence[FloatArray],
         *,
+        noises: Sequence[FloatArray] = (),
         first_step: int = 0,
     ) -> None:
-        self.config, self.bank, self.speech = config, bank, speech
+        self.config, self.bank, self.speech, self.noises = config, bank, speech, noises
         self.first_step = first_step
 
     def __iter__(self) -> Iterator[Batch]:
@@ -50,7 +51,7 @@ class SceneStream(IterableDataset[Batch]):
             chunk = task.prepare_chunk(self.bank.chunk(rng))
             for _ in range(self.config.batches_per_chunk):
                 scenes = [
-                    draw_scene(rng, chunk, self.speech, self.config.scenes)
+                    draw_scene(rng, chunk, self.speech, self.config.scenes, noises=self.noises)
                     for _ in range(self.config.batch_size)
                 ]
                 yield task.collate(rng, scenes)
@@ -63,12 +64,14 @@ def train(
     speech: Sequence[FloatArray],
     validation_speech: Sequence[FloatArray],
     *,
+    noises: Sequence[FloatArray] = (),
     init: Path | None = None,
     workers: int = 1,
 ) -> Task:
     """Train until ``config.steps``, continuing from the run folder's checkpoint if there is one.
 
-    ``init`` is the folder of the run that ``config.starts_from`` names.
+    ``noises`` are steady mono recordings; ``init`` is the folder of the run that
+    ``config.starts_from`` names.
 
     Returns
     -------
@@ -87,7 +90,7 @@ def train(
     if step >= config.steps:
         task.model.eval()
         return task
-    stream = SceneStream(config, RoomBank(bank), speech, first_step=step)
+    stream = SceneStream(config, RoomBank(bank), speech, noises=noises, first_step=step)
     loader = iter(DataLoader(stream, batch_size=None, num_workers=workers, prefetch_factor=4))
     validation = _validation_batches(config, bank, validation_speech)
     running: dict[str, float] = {}

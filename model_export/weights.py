@@ -19,11 +19,40 @@ from service.inference.weights import BLOCK_FRAMES, CELL_LOADING
 FREQUENCY_STRIDE = 4
 
 
-class WeightsNetwork(nn.Module):
-    """Four convolutions without pooling in time: features to weights and attentions.
+class PastContext(nn.Module):
+    """Residual causal convolution in time: what a bin did up to ``2 * dilation`` frames before."""
 
-    Input (B, 4, F, L), F a multiple of 4; output weights and attentions, each (B, F, L), in (0, 1)
-    and (0, inf). The receptive field is 9 frames.
+    def __init__(self, channels: int, dilation: int) -> None:
+        super().__init__()
+        self.reach = 2 * dilation
+        self.convolution = nn.Conv2d(channels, channels, (1, 3), dilation=(1, dilation), bias=False)
+        self.norm = nn.BatchNorm2d(channels)
+
+    def forward(self, hidden: Tensor) -> Tensor:
+        past = F.pad(hidden, (self.reach, 0))
+        return F.relu(hidden + self.norm(self.convolution(past)))
+
+
+class BandContext(nn.Module):
+    """Residual causal convolution of the band's mean: what all bins together do in time."""
+
+    def __init__(self, channels: int, length: int = 5) -> None:
+        super().__init__()
+        self.reach = length - 1
+        self.first = nn.Conv1d(channels, channels, length)
+        self.second = nn.Conv1d(channels, channels, length)
+
+    def forward(self, hidden: Tensor) -> Tensor:
+        band = hidden.mean(2)  # (B, C, L)
+        band = F.relu(self.first(F.pad(band, (self.reach, 0))))
+        return hidden + self.second(F.pad(band, (self.reach, 0)))[:, :, None]
+
+
+class WeightsNetwork(nn.Module):
+    """Convolutions without pooling in time: features to weights and attentions.
+
+    Input (B, 5, F, L), F a multiple of 4; output weights and attentions, each (B, F, L), in (0, 1)
+    and (0, inf). It looks 4 frames ahead, so that a stream's newest results are 64 ms late at most.
     """
 
     def __init__(self, channels: tuple[int, int, int, int] = (24, 32, 40, 32)) -> None:
@@ -49,18 +78,41 @@ class WeightsNetwork(nn.Module):
             block(one, two, 5, 2),  # (B, 32, F/4, L)
             block(two, three, 3, 1),
             block(three, four, 3, 1),
+            PastContext(four, 2),
+            BandContext(four),
+            PastContext(four, 4),
+            PastContext(four, 8),
         )
         self.head = nn.Conv2d(four, 2 * FREQUENCY_STRIDE, 1)
+        self.share_head = nn.Conv2d(four, FREQUENCY_STRIDE, 1)
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        return self.cells(self.hidden(features))
+
+    def hidden(self, features: Tensor) -> Tensor:
+        """What both heads see, (B, 32, F/4, L)."""
         batch, _, bins, frames = features.shape
         # Where a bin lies decides how much an array can hear there; the convolutions cannot tell.
         height = torch.linspace(-1, 1, bins, device=features.device, dtype=features.dtype)
         height = height.reshape(1, 1, bins, 1).expand(batch, 1, bins, frames)
-        hidden = self.head(self.blocks(torch.cat([features, height], 1)))  # (B, 8, F/4, L)
-        cells = hidden.reshape(batch, 2, FREQUENCY_STRIDE, bins // FREQUENCY_STRIDE, frames)
-        cells = cells.transpose(2, 3).reshape(batch, 2, bins, frames)
+        hidden: Tensor = self.blocks(torch.cat([features, height], 1))
+        return hidden
+
+    def cells(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
+        """Weights and attentions of every cell, each (B, F, L)."""
+        cells = _every_bin(self.head(hidden), 2)
         return torch.sigmoid(cells[:, 0]), F.softplus(cells[:, 1])
+
+    def direct_share(self, hidden: Tensor) -> Tensor:
+        """Logits (B, F, L) of the strongest direct sound's share in a cell; only training asks."""
+        return _every_bin(self.share_head(hidden), 1)[:, 0]
+
+
+def _every_bin(strided: Tensor, outputs: int) -> Tensor:
+    """From (B, outputs * 4, F/4, L) to (B, outputs, F, L)."""
+    batch, _, rows, frames = strided.shape
+    cells = strided.reshape(batch, outputs, FREQUENCY_STRIDE, rows, frames)
+    return cells.transpose(2, 3).reshape(batch, outputs, rows * FREQUENCY_STRIDE, frames)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +123,8 @@ class FusedSpectrum:
     """(B, A) in (0, 1)"""
     sharpness: Tensor
     """Scalar, the softmax's factor"""
+    direct_share: Tensor
+    """(B, F, L) logits"""
 
 
 class WeightsPipeline(nn.Module):
@@ -79,36 +133,52 @@ class WeightsPipeline(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.network = WeightsNetwork()
-        self.log_floor = nn.Parameter(torch.tensor(-3.2))
-        """MUSIC's floor, about 0.04: the width of the peaks"""
+        self.log_floor = nn.Parameter(torch.tensor(-4.5))
+        """MUSIC's floor for an array that resolves everything: the width of the peaks"""
         self.log_dominance_power = nn.Parameter(torch.tensor(0.0))
         """Exponent of the dominance in the attention"""
-        self.log_window_share = nn.Parameter(torch.tensor(0.0))
+        self.log_window_share = nn.Parameter(torch.tensor(-1.0))
         """Attention of a bin's whole window against the sum of its blocks'"""
         self.log_sharpness = nn.Parameter(torch.tensor(2.64))
 
-    def forward(self, features: Tensor, spectra: Tensor, products: Tensor) -> FusedSpectrum:
+    def forward(
+        self,
+        features: Tensor,
+        spectra: Tensor,
+        products: Tensor,
+        *,
+        resolution: Tensor,
+        bins: Tensor | None = None,
+    ) -> FusedSpectrum:
         """Fused spectrum of every scene.
 
         Parameters
         ----------
-        features : (B, 4, F, L) real
-        spectra : (B, N, F, L) complex
-        products : (B, F, N^2, A) real
+        features : (B, 5, F, L) real
+        spectra : (B, N, F', L) complex
+        products : (B, F', N^2, A) real
             From ``delay_products``.
+        resolution : (B,) real
+            Of the arrays, from ``service.doa.steering.resolution``.
+        bins : (F',) integer, optional
+            The bins of ``spectra`` among those of the features: in training a part of them says
+            as much as all at half the price. By default all.
         """
         # bfloat16 halves the convolutions' cost on a CPU; what follows needs its digits.
         with torch.autocast(features.device.type, torch.bfloat16, enabled=self.training):
-            weights, attention = self.network(
-                features.contiguous(memory_format=torch.channels_last)
-            )
+            hidden = self.network.hidden(features.contiguous(memory_format=torch.channels_last))
+            share = self.network.direct_share(hidden)
+            weights, attention = self.network.cells(hidden)
         weights, attention = weights.float(), attention.float()
+        if bins is not None:
+            weights, attention = weights[:, bins], attention[:, bins]
         blocks = block_covariances(spectra, weights)  # (B, F, K, N, N)
         # Blocks tell talkers apart; the whole window, their sum, averages most of the noise.
         covariance = torch.cat([blocks, blocks.sum(2, keepdim=True)], 2)
         projector = signal_projector(covariance, 1)
         power = signal_power(projector, products)  # (B, F, K, A)
-        spectrum = 1 / (1 - power.clamp(max=1) + self.log_floor.exp())
+        floor = self.log_floor.exp() * resolution[:, None, None, None]
+        spectrum = 1 / (1 - power.clamp(max=1) + floor)
         spectrum = spectrum / spectrum.amax(-1, keepdim=True)
         attended = attention.unflatten(-1, (-1, BLOCK_FRAMES)).mean(-1)  # (B, F, K)
         whole = attended.sum(-1, keepdim=True) * self.log_window_share.exp()
@@ -116,7 +186,7 @@ class WeightsPipeline(nn.Module):
         cells = torch.cat([attended, whole], -1) * quality ** self.log_dominance_power.exp()
         total = cells.sum((1, 2)).clamp(min=1e-6)
         fused = torch.einsum("bfk,bfka->ba", cells, spectrum**2) / total[:, None]
-        return FusedSpectrum(fused, self.log_sharpness.exp())
+        return FusedSpectrum(fused, self.log_sharpness.exp(), share.float())
 
 
 def block_covariances(spectra: Tensor, weights: Tensor) -> Tensor:

@@ -98,24 +98,18 @@ def _time_stages(
     weights = [(s[0], w[0][0]) for s, w in zip(spectra, weighed, strict=True)]
     covariances = [cell_covariances(*pair) for pair in weights]
     principals = [principal_eigenvectors(covariance) for covariance in covariances]
-    cells = [search.cell_spectra(principal) for principal, _ in principals]
-    attended = [
-        search.attend(w[1][0], dominance)
-        for w, (_, dominance) in zip(weighed, principals, strict=True)
+    fields = [
+        search.field(search.cell_spectra(principal), weighing[1][0], dominance)
+        for (principal, dominance), weighing in zip(principals, weighed, strict=True)
     ]
-    fusible = [(c, *a) for c, a in zip(cells, attended, strict=True)]
-    descriptors = [
-        find_candidates(*each, array.num_microphones).descriptors[None] for each in fusible
-    ]
+    descriptors = [find_candidates(field).descriptors[None] for field in fields]
     return {
         "stft": _time(lambda window: search.spectra(window[None]), windows),
         "covariance_net": _time(search.weigh, spectra),
         "covariance": _time(lambda pair: cell_covariances(*pair), weights),
         "evd": _time(principal_eigenvectors, covariances),
         "spectrum": _time(lambda pair: search.cell_spectra(pair[0]), principals),
-        "fusion_and_peaks": _time(
-            lambda each: find_candidates(*each, array.num_microphones), fusible
-        ),
+        "fusion_and_peaks": _time(find_candidates, fields),
         "count_net": _time(lambda each: bundle.source_count.run([each]), descriptors),
     }
 

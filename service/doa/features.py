@@ -1,8 +1,8 @@
 """Array-independent features of a multichannel spectrogram, the weights network's input.
 
 Nothing in them depends on the number, the order or the places of the microphones: a level, its
-onset, and how far the channel vector keeps its direction from frame to frame, which it does while
-one source's direct sound dominates a bin.
+onset, and how far the channel vector keeps its direction from frame to frame and from bin to bin,
+which it does while one source's direct sound dominates.
 """
 
 from __future__ import annotations
@@ -11,13 +11,14 @@ import numpy as np
 
 from service.doa.types import ComplexArray, FloatArray
 
-NUM_FEATURES = 4
+NUM_FEATURES = 5
+BIN_LAG = 2  # windowed noise is all but independent there, and no array turns far in 62 Hz
 LEVEL_FLOOR = 1e-5  # of the window's mean power, 50 dB down: quieter cells look alike
 LEVEL_SCALE = 0.25  # brings the natural logarithm of power to unit spread
 
 
 def coherence_features(spectra: ComplexArray) -> FloatArray:
-    """Level, onset and inter-frame coherences of every time-frequency cell.
+    """Level, onset and the coherences of every time-frequency cell with its neighbours.
 
     Parameters
     ----------
@@ -25,10 +26,10 @@ def coherence_features(spectra: ComplexArray) -> FloatArray:
 
     Returns
     -------
-    features : (..., 4, F, L) float32
+    features : (..., 5, F, L) float32
         Log power of the channel vector relative to the window's mean, its difference to the frame
-        before, and |x_t^H x_(t-1)| and |x_t^H x_(t-2)| of vectors of unit norm. Cells without a
-        predecessor hold zeros.
+        before, and |x_t^H x_(t-1)|, |x_t^H x_(t-2)| and |x_f^H x_(f-2)| of vectors of unit norm.
+        Cells without a predecessor hold zeros.
     """
     power = np.sum(spectra.real**2 + spectra.imag**2, axis=-3)  # (..., F, L)
     tiny = np.finfo(np.float32).tiny
@@ -41,4 +42,6 @@ def coherence_features(spectra: ComplexArray) -> FloatArray:
     for lag in (1, 2):
         product = unit[..., lag:] * np.conj(unit[..., :-lag])
         features[..., 1 + lag, :, lag:] = np.abs(product.sum(axis=-3))
+    product = unit[..., BIN_LAG:, :] * np.conj(unit[..., :-BIN_LAG, :])
+    features[..., 4, BIN_LAG:, :] = np.abs(product.sum(axis=-3))
     return features

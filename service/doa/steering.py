@@ -9,6 +9,7 @@ their centroid: a common phase cancels in every method, and small arguments keep
 from __future__ import annotations
 
 import numpy as np
+import scipy.special
 
 from service.doa.array import SPEED_OF_SOUND
 from service.doa.types import ComplexArray, FloatArray
@@ -60,3 +61,25 @@ def steering_vectors(
     phase = 2 * np.pi * frequencies[:, None, None] * delays[None]
     steering: ComplexArray = np.exp(1j * phase).astype(np.complex64)
     return steering
+
+
+def resolution(
+    positions: FloatArray, frequencies: FloatArray, *, speed_of_sound: float = SPEED_OF_SOUND
+) -> float:
+    """How far an array tells azimuths apart: the mean of 1 - |a(theta)^H a(phi)|^2 / N^2.
+
+    Over all pairs of azimuths and over ``frequencies``; near 0 for an array much smaller than the
+    wavelengths, at most 1 - 1/N. The mean of a_i conj(a_j) over the circle is J0(k rho_ij), rho
+    being the microphones' horizontal distance, so that no grid is needed.
+
+    Parameters
+    ----------
+    positions : (N, 3) float
+        Metres.
+    frequencies : (F,) float
+        Hertz.
+    """
+    horizontal = positions[:, None, :2] - positions[None, :, :2]
+    distance = np.linalg.norm(horizontal, axis=-1)  # (N, N)
+    argument = 2 * np.pi * frequencies[:, None, None] * distance / speed_of_sound
+    return float(1 - np.square(scipy.special.j0(argument)).mean())

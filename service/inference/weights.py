@@ -10,12 +10,13 @@ from service.doa.array import MicrophoneArray
 from service.doa.covariance import diagonal_loading, weighted_covariance
 from service.doa.features import coherence_features
 from service.doa.mirror import into_searched_half
-from service.doa.steering import azimuth_grid, steering_vectors
+from service.doa.steering import azimuth_grid, resolution, steering_vectors
 from service.doa.stft import Stft
 from service.doa.subspace import eigenvector_power
 from service.doa.types import ComplexArray, FloatArray
 from service.inference.bundle import Bundle
 from service.inference.candidates import Candidates, find_candidates
+from service.inference.descriptors import Field
 from service.inference.engine import Engine
 from service.inference.results import Source, WindowEstimate
 
@@ -35,7 +36,7 @@ class Analysis:
     num_bins: int
     grid_size: int
     floor: float
-    """MUSIC's floor, the width of its peaks"""
+    """MUSIC's floor, the width of its peaks, of an array that resolves everything"""
     dominance_power: float
     """Exponent of the dominance in the attention"""
     window_share: float
@@ -50,11 +51,12 @@ class CandidateSearch:
         self._array = array
         self._analysis = analysis
         self._bins = slice(analysis.first_bin, analysis.first_bin + analysis.num_bins)
-        self._steering = steering_vectors(
-            array.positions,
-            analysis.stft.frequencies[self._bins],
-            azimuth_grid(analysis.grid_size),
-        )
+        frequencies = analysis.stft.frequencies[self._bins]
+        grid = azimuth_grid(analysis.grid_size)
+        self._steering = steering_vectors(array.positions, frequencies, grid)
+        # Small arrays see all directions alike: theirs would be one broad peak otherwise.
+        self._resolution = resolution(array.positions, frequencies)
+        self._floor = analysis.floor * self._resolution
 
     def candidates(self, windows: FloatArray) -> list[Candidates]:
         """Candidate sources of every window (B, N, T), before counting."""
@@ -67,10 +69,13 @@ class CandidateSearch:
         self, spectra: ComplexArray, weights: FloatArray, attention: FloatArray
     ) -> Candidates:
         principal, dominance = principal_eigenvectors(cell_covariances(spectra, weights))
-        cells = self.cell_spectra(principal)
-        cell_attention, mean_dominance = self.attend(attention, dominance)
-        found = find_candidates(cells, cell_attention, mean_dominance, len(spectra))
+        found = find_candidates(self.field(self.cell_spectra(principal), attention, dominance))
         return replace(found, azimuth=into_searched_half(self._array, found.azimuth))
+
+    def field(self, cells: FloatArray, attention: FloatArray, dominance: FloatArray) -> Field:
+        """What candidates are found in, from cells (F, K, A), (F, L) and (F, K)."""
+        attended = self.attend(attention, dominance)
+        return Field(cells, attended, dominance, self._array.num_microphones, self._resolution)
 
     def spectra(self, windows: FloatArray) -> ComplexArray:
         """STFT of the band in whole blocks of frames: (B, N, F, L) complex64.
@@ -96,26 +101,18 @@ class CandidateSearch:
         one pass over the megabytes is enough.
         """
         distance = eigenvector_power(principal, self._steering)  # (F, K, A)
-        np.subtract(np.float32(1 + self._analysis.floor), distance, out=distance)
+        np.subtract(np.float32(1 + self._floor), distance, out=distance)
         np.divide(distance.min(axis=-1, keepdims=True), distance, out=distance)
         np.square(distance, out=distance)
         return distance
 
-    def attend(self, attention: FloatArray, dominance: FloatArray) -> tuple[FloatArray, float]:
-        """What every cell counts in the fusion, from (F, L) and (F, K).
-
-        Returns
-        -------
-        cell_attention : (F, K) float32
-        mean_dominance : float
-            Weighted by the attention, in [0, 1].
-        """
+    def attend(self, attention: FloatArray, dominance: FloatArray) -> FloatArray:
+        """What every cell counts in the fusion, (F, K) float32 from (F, L) and (F, K)."""
         attended = attention.reshape(len(attention), -1, BLOCK_FRAMES).mean(axis=-1)
         whole = attended.sum(axis=-1, keepdims=True) * np.float32(self._analysis.window_share)
-        attended = np.concatenate([attended, whole], axis=1)
-        mean = float((attended * dominance).sum() / max(float(attended.sum()), 1e-9))
-        cells = (attended * dominance**self._analysis.dominance_power).astype(np.float32)
-        return cells, mean
+        quality = dominance**self._analysis.dominance_power
+        cells: FloatArray = (np.concatenate([attended, whole], axis=1) * quality).astype(np.float32)
+        return cells
 
 
 def cell_covariances(spectra: ComplexArray, weights: FloatArray) -> ComplexArray:

@@ -10,6 +10,7 @@ import pytest
 
 from model_export.arrays import random_array
 from model_export.datasets.speech import load, speech_commands
+from model_export.noise import unit_power
 from model_export.rooms import (
     SAMPLE_RATE,
     RoomSpec,
@@ -24,7 +25,6 @@ from model_export.scenes import (
     SceneConfig,
     convolve,
     draw_scene,
-    unit_power,
 )
 from model_export.simulate import Protocol, simulate_scene, write_scenes
 from model_export.synthesis import synthetic_voice
@@ -148,12 +148,14 @@ def test_training_scenes_hold_what_they_say(voices) -> None:
         "azimuth": azimuth[None],
         "responses": impulse_responses(paper_room(1), array.positions, sources)[None],
         "diffuse": diffuse_noise(rng, array.positions, WINDOW_SAMPLES)[None],
+        "distance": np.full((1, 4), 1.5),
     }
     counts = []
     for _ in range(60):
         scene = draw_scene(rng, chunk, voices, SceneConfig(source_counts=(0.3, 0.3, 0.3, 0.1)))
         assert scene.audio.shape == (4, WINDOW_SAMPLES)
         assert np.isfinite(scene.audio).all()
+        assert scene.direct.shape == (len(scene.azimuth), WINDOW_SAMPLES)
         assert set(np.round(scene.azimuth, 6)) <= set(np.round(azimuth, 6))
         counts.append(len(scene.azimuth))
         if len(scene.azimuth) > 1:  # two of the sources are too close to sound together

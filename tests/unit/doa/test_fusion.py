@@ -8,6 +8,7 @@ import pytest
 from service.doa.covariance import weighted_covariance
 from service.doa.features import coherence_features
 from service.doa.fusion import attention_fusion, attention_weights, mean_fusion, normalise
+from service.doa.steering import steering_vectors
 from service.doa.types import ComplexArray
 
 
@@ -63,12 +64,14 @@ def test_a_weight_of_zero_removes_a_frame() -> None:
 def test_features_ignore_level_order_and_array_phase() -> None:
     spectra = random_spectra(6, 4, 12, 10)
     features = coherence_features(spectra)
-    assert features.shape == (4, 12, 10)
+    assert features.shape == (5, 12, 10)
     np.testing.assert_allclose(coherence_features(spectra * 37), features, atol=2e-4)
     np.testing.assert_allclose(coherence_features(spectra[[2, 0, 3, 1]]), features, atol=2e-4)
     # Another place of the microphones is a phase per microphone and bin.
     turned = spectra * np.exp(1j * np.random.default_rng(7).uniform(0, 6, (4, 12, 1)))
-    np.testing.assert_allclose(coherence_features(turned.astype(np.complex64)), features, atol=2e-4)
+    turned_features = coherence_features(turned.astype(np.complex64))
+    # Only from bin to bin does it show, and there as little as the array is small.
+    np.testing.assert_allclose(turned_features[:4], features[:4], atol=2e-4)
 
 
 def test_a_steady_direction_is_coherent_and_noise_is_not() -> None:
@@ -79,6 +82,15 @@ def test_a_steady_direction_is_coherent_and_noise_is_not() -> None:
     noise = coherence_features(random_spectra(10, 4, 40, 30))
     # E|x^H y| of random unit vectors in C^4 is Gamma(4) Gamma(3/2) / Gamma(9/2) = 0.457.
     assert noise[2, :, 1:].mean() == pytest.approx(0.457, abs=0.02)
+    assert noise[4, 2:].mean() == pytest.approx(0.457, abs=0.02)
+
+
+def test_a_plane_wave_is_coherent_from_bin_to_bin_on_any_board_of_a_robot() -> None:
+    # Two bins are 62 Hz: over 20 cm a plane wave's phase turns by 0.23 at most.
+    positions = np.array([[0.1, 0, 0], [-0.1, 0, 0], [0, 0.1, 0], [0, -0.1, 0]])
+    steering = steering_vectors(positions, np.arange(40) * 31.25, np.array([0.4]))  # (F, N, 1)
+    wave = np.swapaxes(steering, 0, 1) * random_spectra(11, 1, 40, 30)
+    assert coherence_features(wave.astype(np.complex64))[4, 2:].min() > 0.97
 
 
 def test_digital_silence_has_finite_features() -> None:

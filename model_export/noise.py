@@ -1,0 +1,89 @@
+"""What real arrays hear besides talkers: sensor, diffuse, coupled and machine noise.
+
+Diffuse noise takes its colour from a random slope or, where recordings are given, the spectrum of
+a recording in time; machine noise stands at one place of the room and is no talker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.fft
+import scipy.signal
+
+from service.doa.types import FloatArray
+
+SAMPLE_RATE = 16000
+FRAME = 512
+"""Samples of the frames in which recorded noise lends diffuse noise its spectrum"""
+
+
+def unit_power(audio: FloatArray) -> FloatArray:
+    """Scale (N, T) audio to unit variance at its first microphone."""
+    power = float(np.mean(audio[0].astype(np.float64) ** 2))
+    return audio / np.float32(np.sqrt(max(power, 1e-12)))
+
+
+def sensor_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
+    """White noise of unit variance, independent in every microphone, (N, T) float32."""
+    return rng.standard_normal(shape, dtype=np.float32)
+
+
+def coupled_noise(rng: np.random.Generator, shape: tuple[int, int]) -> FloatArray:
+    """Coloured noise that couples in phase into some or all of the channels, (N, T) float32.
+
+    One converter feeds two or four channels; what couples into it is in phase in them.
+    """
+    common = unit_power(colour(rng, rng.standard_normal((1, shape[1]), dtype=np.float32)))
+    members = rng.random(shape[0]) < rng.choice([0.5, 1.0])
+    return members[:, None] * common
+
+
+def colour(rng: np.random.Generator, noise: FloatArray) -> FloatArray:
+    """Give noise (N, T) a random spectral slope and a random resonance."""
+    spectrum = scipy.fft.rfft(noise, axis=-1)
+    frequency = np.linspace(1e-3, 1, spectrum.shape[-1], dtype=np.float32)
+    slope = frequency ** np.float32(-rng.uniform(0, 1.2))
+    centre, width = rng.uniform(0.02, 0.8), rng.uniform(0.02, 0.3)
+    resonance = 1 + rng.uniform(0, 4) * np.exp(-0.5 * ((frequency - centre) / width) ** 2)
+    coloured: FloatArray = scipy.fft.irfft(
+        spectrum * np.minimum(slope, 100) * resonance.astype(np.float32), noise.shape[-1], axis=-1
+    )
+    return coloured
+
+
+def shaped_like(noise: FloatArray, recording: FloatArray) -> FloatArray:
+    """Give white noise (N, T) a mono recording's spectrum in time; its phases stay diffuse."""
+    options = {"nperseg": FRAME, "noverlap": FRAME // 2}
+    _, _, spectra = scipy.signal.stft(noise, **options)
+    _, _, recorded = scipy.signal.stft(recording[: noise.shape[-1]], **options)
+    frames = min(spectra.shape[-1], recorded.shape[-1])
+    shaped = spectra[..., :frames] * np.abs(recorded[:, :frames])
+    _, audio = scipy.signal.istft(shaped, **options)
+    result = np.zeros_like(noise)
+    length = min(audio.shape[-1], noise.shape[-1])
+    result[:, :length] = audio[:, :length]
+    return result
+
+
+def fan(rng: np.random.Generator, num_samples: int) -> FloatArray:
+    """A steady fan, (T,) float32: harmonics of the blades' passing in the turbulence's noise."""
+    time = np.arange(num_samples) / SAMPLE_RATE
+    blades = rng.uniform(60, 400)
+    tones = np.zeros(num_samples)
+    for harmonic in range(1, 1 + int(rng.integers(2, 12))):
+        level = 10 ** (-rng.uniform(0.1, 0.6) * harmonic)
+        drift = 0.002 * np.sin(2 * np.pi * rng.uniform(0.1, 1) * time)
+        tones += level * np.sin(2 * np.pi * harmonic * blades * (time + drift / blades))
+    turbulence = colour(rng, rng.standard_normal((1, num_samples), dtype=np.float32))
+    return (unit_power(turbulence)[0] + rng.uniform(0, 2) * tones).astype(np.float32)
+
+
+def excerpt(
+    rng: np.random.Generator, recordings: Sequence[FloatArray], num_samples: int
+) -> FloatArray:
+    """(T,) of a random recording from a random place, repeated where it is too short."""
+    recording = recordings[int(rng.integers(len(recordings)))]
+    offset = int(rng.integers(len(recording)))
+    return np.resize(np.roll(recording, -offset), num_samples)
