@@ -39,6 +39,8 @@ class TrainingConfig:
     starts_from: str | None = None
     """Name of the run whose parameters this one starts from"""
     scenes: SceneConfig = field(default_factory=SceneConfig)
+    short_windows: float = 0.0
+    """Share of the `weights` variant's batches that are cut to half a second"""
     batches_per_chunk: int = 6
     """Batches drawn from one chunk of rooms before the next is loaded"""
     checkpoint_every: int = 250
@@ -77,10 +79,12 @@ ANY_ARRAY_FINE = replace(
     ANY_ARRAY,
     name="any-array-fine",
     starts_from="any-array",
-    steps=2000,
-    learning_rate=5e-4,
+    steps=2500,
+    learning_rate=1e-3,
     grid_size=240,
     target_sigma_deg=3.0,
+    short_windows=0.2,
+    scenes=replace(ANY_ARRAY.scenes, snr_db=(-8.0, 35.0)),
     seed=2,
 )
 """A finer grid and narrower targets, once the network knows where to look"""

@@ -17,7 +17,8 @@ from rich.progress import track
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
-from model_export.scenes import RoomBank, Scene, SceneConfig, draw_scene
+from model_export.scenes import WINDOW_SAMPLES, RoomBank, Scene, SceneConfig, draw_scene
+from model_export.tasks import SHORT_SAMPLES
 from service.doa.array import MicrophoneArray
 from service.doa.scoring import circular_error
 from service.doa.types import FloatArray
@@ -27,6 +28,8 @@ from service.inference.weights import CandidateSearch
 
 HIT = np.deg2rad(10.0)
 MAX_SOURCES = 4
+SHORT_WINDOWS = 0.3
+"""Share of the scenes that are cut to half a second or more"""
 GROUP = 64
 """Scenes from one chunk of rooms"""
 COUNTING_SCENES = SceneConfig(
@@ -89,10 +92,16 @@ class _SceneGroups(Dataset[list[Scene]]):
     def __getitem__(self, index: int) -> list[Scene]:
         rng = np.random.default_rng([self.seed, 77, index])
         chunk = self.bank.chunk(rng)
-        return [
+        scenes = [
             draw_scene(rng, chunk, self.speech, COUNTING_SCENES, noises=self.noises)
             for _ in range(self.sizes[index])
         ]
+        return [_shortened(rng, s) if rng.random() < SHORT_WINDOWS else s for s in scenes]
+
+
+def _shortened(rng: np.random.Generator, scene: Scene) -> Scene:
+    length = int(rng.integers(SHORT_SAMPLES, WINDOW_SAMPLES))
+    return scene.crop(int(rng.integers(WINDOW_SAMPLES - length)), length)
 
 
 def collect(

@@ -34,6 +34,8 @@ SAMPLE_RATE = 16000
 RESPONSE_DELAY = 40
 """Samples by which pyroomacoustics' fractional delays are late"""
 DIRECT_SECONDS = 1e-3
+AUDIBLE = 0.02
+"""Of its mean power over the whole scene: a talker that is quieter in a part of it is not there"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +77,19 @@ class Scene:
     """(M, T) float32: the talkers' direct sound at the first microphone"""
     heard: FloatArray
     """(T,) float32: all that the first microphone hears, before its imperfections"""
+
+    def crop(self, start: int, num_samples: int) -> Scene:
+        """A shorter scene, of the talkers that sound in it."""
+        kept = slice(start, start + num_samples)
+        whole = np.square(self.direct).mean(axis=1)
+        sounds = np.square(self.direct[:, kept]).mean(axis=1) > AUDIBLE * whole
+        return Scene(
+            self.audio[:, kept],
+            self.positions,
+            self.azimuth[sounds],
+            self.direct[sounds][:, kept],
+            self.heard[kept],
+        )
 
 
 class RoomBank:

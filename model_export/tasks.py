@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from model_export.config import TrainingConfig
-from model_export.scenes import Scene
+from model_export.scenes import WINDOW_SAMPLES, Scene
 from model_export.subspace import delay_products
 from model_export.targets import spectrum_cross_entropy, target_spectrum
 from model_export.weights import FusedSpectrum, WeightsPipeline
@@ -26,6 +26,8 @@ MAX_SOURCES = 4
 STFT = Stft()
 BIN_STEP = 2
 """Every other bin, from a random one on, forms spectra in training"""
+SHORT_SAMPLES = STFT.num_samples(32)
+"""Half a second: what a stream's first results and short windows have"""
 SHARE_WEIGHT = 2.0
 """Weight of the direct sound's share against the spectra's cross entropy"""
 
@@ -65,6 +67,9 @@ class WeightsTask:
         return chunk
 
     def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch:
+        if rng.random() < self.config.short_windows:
+            start = int(rng.integers(WINDOW_SAMPLES - SHORT_SAMPLES))
+            scenes = [scene.crop(start, SHORT_SAMPLES) for scene in scenes]
         spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))[:, :, 1:]
         bins = np.arange(rng.integers(BIN_STEP), spectra.shape[2], BIN_STEP)
         offset = rng.uniform(0, 2 * np.pi / self.config.grid_size)

@@ -149,3 +149,16 @@ def test_a_folder_without_noise_is_explained(tmp_path: Path) -> None:
     soundfile.write(tmp_path / "rain.wav", np.zeros((16000, 2)), 16000)
     with pytest.raises(ValueError, match="expected mono audio at 16000 Hz"):
         noise_recordings(tmp_path, "steady")
+
+
+def test_a_part_of_a_scene_keeps_the_talkers_that_sound_in_it(rng: np.random.Generator) -> None:
+    direct = rng.standard_normal((2, SAMPLES)).astype(np.float32)
+    direct[0, 8000:] = 0
+    direct[1, :8000] = 0
+    scene = Scene(direct.copy(), np.zeros((2, 3)), np.array([1.0, 2.0]), direct, direct.sum(axis=0))
+    assert scene.crop(0, 7000).azimuth.tolist() == [1.0]
+    assert scene.crop(9000, 7000).azimuth.tolist() == [2.0]
+    part = scene.crop(6000, 4000)
+    assert part.azimuth.tolist() == [1.0, 2.0]
+    assert part.audio.shape == (2, 4000)
+    np.testing.assert_array_equal(part.heard, scene.heard[6000:10000])
