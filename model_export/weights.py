@@ -185,7 +185,7 @@ class WeightsPipeline(nn.Module):
         quality = dominance(covariance, projector).clamp(1e-4, 1)
         cells = torch.cat([attended, whole], -1) * quality ** self.log_dominance_power.exp()
         total = cells.sum((1, 2)).clamp(min=1e-6)
-        fused = torch.einsum("bfk,bfka->ba", cells, spectrum**2) / total[:, None]
+        fused = torch.einsum("bfk,bfka->ba", cells, spectrum) / total[:, None]
         return FusedSpectrum(fused, self.log_sharpness.exp(), share.float())
 
 

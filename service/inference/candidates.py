@@ -15,8 +15,8 @@ from service.doa.types import FloatArray
 from service.inference.descriptors import NUM_DESCRIPTORS, Field, Finding, describe
 
 NUM_CANDIDATES = 4
-REMOVAL_LEVEL = 0.7**2
-"""Cells whose squared spectrum at a found peak exceeds this belong to that source"""
+REMOVAL_LEVEL = 0.7
+"""Cells whose spectrum at a found peak exceeds this belong to that source"""
 
 
 @dataclass(frozen=True, slots=True)

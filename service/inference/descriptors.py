@@ -14,7 +14,7 @@ from service.doa.peaks import Peak, circular_difference
 from service.doa.types import FloatArray
 
 NUM_DESCRIPTORS = 21
-SHARP_LEVEL = 0.9**2
+SHARP_LEVEL = 0.9
 NEIGHBOURHOOD = np.deg2rad(20.0)
 """In which blocks may disagree on where a candidate is: two close talkers do, one does not"""
 
@@ -24,7 +24,7 @@ class Field:
     """The cells of one window, out of which candidates are taken."""
 
     cells: FloatArray
-    """(F, K, A) float32 squared MUSIC spectra, maximum 1 each; the last of K is the whole window"""
+    """(F, K, A) float32 MUSIC spectra, maximum 1 each; the last of K is the whole window"""
     attention: FloatArray
     """(F, K) float32, non-negative"""
     dominance: FloatArray

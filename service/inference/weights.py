@@ -95,7 +95,7 @@ class CandidateSearch:
         return weights, attention
 
     def cell_spectra(self, principal: ComplexArray) -> FloatArray:
-        """Squared rank-one MUSIC of every cell: (F, N, K) to (F, K, A) float32, maximum 1 each.
+        """Rank-one MUSIC of every cell: (F, N, K) to (F, K, A) float32, maximum 1 each.
 
         P / max P = (1 + floor - max p) / (1 + floor - p) with the power p = |u^H a|^2 / N, so that
         one pass over the megabytes is enough.
@@ -103,7 +103,6 @@ class CandidateSearch:
         distance = eigenvector_power(principal, self._steering)  # (F, K, A)
         np.subtract(np.float32(1 + self._floor), distance, out=distance)
         np.divide(distance.min(axis=-1, keepdims=True), distance, out=distance)
-        np.square(distance, out=distance)
         return distance
 
     def attend(self, attention: FloatArray, dominance: FloatArray) -> FloatArray:
