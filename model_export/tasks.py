@@ -31,7 +31,8 @@ class Task(Protocol):
     @property
     def model(self) -> nn.Module: ...
 
-    def prepare_chunk(self, chunk: dict[str, FloatArray]) -> dict[str, FloatArray]: ...
+    def start_from(self, start: Task) -> None:
+        """Take what an earlier stage has learned, or say why it does not fit (ValueError)."""
 
     def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch: ...
 
@@ -44,7 +45,11 @@ def task_of(config: TrainingConfig) -> Task:
     """The task of a configuration, with a freshly initialised model."""
     if config.variant == "weights":
         return WeightsTask(config)
-    from model_export.regression import RegressionTask  # it builds on this module
+    if config.variant == "sscl":
+        from model_export.sscl import SsclTask  # it builds on this module
+
+        return SsclTask(config)
+    from model_export.regression import RegressionTask  # this one, too
 
     return RegressionTask(config)
 
@@ -56,8 +61,8 @@ class WeightsTask:
         self.config = config
         self.model = WeightsPipeline()
 
-    def prepare_chunk(self, chunk: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        return chunk
+    def start_from(self, start: Task) -> None:
+        self.model.load_state_dict(start.model.state_dict())
 
     def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch:
         spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))[:, :, 1:]
