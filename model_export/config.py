@@ -87,7 +87,7 @@ ANY_ARRAY_FINE = replace(
 PAPER_SSCL = TrainingConfig(
     name="paper-sscl",
     variant="sscl",
-    steps=2500,
+    steps=1250,
     array="respeaker-usb-4mic-v2",
     scenes=SceneConfig(source_counts=(0.0, 0.6, 0.3, 0.1), snr_db=(0.0, 35.0)),
     batches_per_chunk=12,
