@@ -103,7 +103,7 @@ PAPER = TrainingConfig(
     count_weight=0.5,
     array="respeaker-usb-4mic-v2",
     scenes=SceneConfig(source_counts=(0.05, 0.5, 0.35, 0.10), snr_db=(0.0, 35.0)),
-    batches_per_chunk=12,
+    batches_per_chunk=24,
 )
 
 CONFIGS = {config.name: config for config in (ANY_ARRAY, ANY_ARRAY_FINE, PAPER_SSCL, PAPER)}

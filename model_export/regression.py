@@ -10,6 +10,8 @@ beside it. Deviations from the paper's text:
 - The MUSIC floor is learned and spectra are divided by their maximum per bin, because the paper's
   unbounded P spans six decades; FAF divides by the sum of its weights.
 - Scenes without a source train the count branch only, MUSIC having no spectrum for them.
+
+The encoder comes from the self-supervised stage (``model_export.sscl``).
 """
 
 from __future__ import annotations
