@@ -9,9 +9,10 @@ from pathlib import Path
 
 import torch
 
-from model_export.config import CONFIGS, smoke
+from model_export.config import CONFIGS, TrainingConfig, smoke
 from model_export.datasets.noise import noise_recordings
 from model_export.datasets.speech import Split, librispeech, load, speech_commands
+from model_export.streams import SceneSource
 from service.doa.presets import PRESETS, preset
 from service.doa.types import FloatArray
 
@@ -49,7 +50,11 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument("--run", type=Path, required=True, help="folder of the run")
     train.add_argument("--init", type=Path, help="run to start from, where the config wants one")
     train.add_argument("--smoke", action="store_true", help="a few steps only, to try it out")
-    _add_data(train)
+    train.add_argument("--rooms", type=Path, help="room bank, where the config draws arrays")
+    train.add_argument(
+        "--recordings", type=Path, help="unlabelled recordings instead of simulated scenes (sscl)"
+    )
+    _add_speech(train, required=False)
     train.set_defaults(run_command=_train)
 
     export = commands.add_parser("export", help="train the source count and write a bundle")
@@ -58,7 +63,8 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("--name", help="the bundle's name (default: the configuration's)")
     export.add_argument("--version", default="0.1.0")
     export.add_argument("--counting-scenes", type=int, default=16000)
-    _add_data(export)
+    export.add_argument("--rooms", type=Path, required=True, help="folder of the room bank")
+    _add_speech(export, required=True)
     export.set_defaults(run_command=_export)
 
     evaluate = commands.add_parser("evaluate", help="score bundles and classical methods")
@@ -90,9 +96,8 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_data(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--rooms", type=Path, required=True, help="folder of the room bank")
-    parser.add_argument("--speech-commands", type=Path, required=True, help="corpus folder")
+def _add_speech(parser: argparse.ArgumentParser, *, required: bool) -> None:
+    parser.add_argument("--speech-commands", type=Path, required=required, help="corpus folder")
     parser.add_argument("--librispeech", type=Path, help="folder of utterances, optional")
     parser.add_argument("--noise", type=Path, help="folder of noise recordings, optional")
 
@@ -120,15 +125,50 @@ def _train(arguments: argparse.Namespace) -> None:
     from model_export.train import train
 
     config = CONFIGS[arguments.config]
+    sources = _recorded if arguments.recordings else _simulated
     train(
         smoke(config) if arguments.smoke else config,
         arguments.run,
-        arguments.rooms,
-        _speech(arguments, "train"),
-        _speech(arguments, "development"),
-        noises=_noises(arguments),
+        *sources(arguments, config),
         init=arguments.init,
     )
+
+
+def _simulated(
+    arguments: argparse.Namespace, config: TrainingConfig
+) -> tuple[SceneSource, SceneSource]:
+    """Scenes to train on and scenes to validate with, of other rooms and speakers."""
+    from model_export.array_rooms import ArrayRooms
+    from model_export.scenes import RoomBank
+    from model_export.streams import RoomSource, SimulatedScenes
+
+    if arguments.speech_commands is None:
+        raise ValueError("simulated scenes need speech: name its folder with --speech-commands")
+    rooms: list[RoomSource]
+    if config.array is not None:
+        rooms = [ArrayRooms(preset(config.array))] * 2
+    elif arguments.rooms is not None:
+        rooms = [RoomBank(arguments.rooms), RoomBank(arguments.rooms, validation=True)]
+    else:
+        raise ValueError(f"{config.name} draws from a room bank: name its folder with --rooms")
+    return (
+        SimulatedScenes(rooms[0], _speech(arguments, "train"), _noises(arguments)),
+        SimulatedScenes(rooms[1], _speech(arguments, "development"), _noises(arguments)),
+    )
+
+
+def _recorded(
+    arguments: argparse.Namespace, config: TrainingConfig
+) -> tuple[SceneSource, SceneSource]:
+    """The same two of unlabelled recordings."""
+    from model_export.datasets.recordings import RecordedScenes
+
+    if config.variant != "sscl" or config.array is None:
+        raise ValueError(
+            f"{config.name} learns from directions, which recordings do not tell: use --recordings "
+            "with a self-supervised configuration, such as paper-sscl"
+        )
+    return RecordedScenes.split(arguments.recordings, preset(config.array))
 
 
 def _export(arguments: argparse.Namespace) -> None:

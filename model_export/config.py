@@ -8,12 +8,12 @@ from typing import Any, Literal
 from model_export.scenes import SceneConfig
 from service.doa.spectrogram import PhaseReference
 
-Variant = Literal["weights", "regression"]
+Variant = Literal["weights", "regression", "sscl"]
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingConfig:
-    """One supervised training run."""
+    """One training run."""
 
     name: str
     variant: Variant
@@ -50,8 +50,8 @@ class TrainingConfig:
     def __post_init__(self) -> None:
         if self.steps < 1 or self.batch_size < 1:
             raise ValueError("steps and batch_size must be positive")
-        if self.variant == "regression" and self.array is None:
-            raise ValueError("the regression variant is bound to one array: name its preset")
+        if self.variant != "weights" and self.array is None:
+            raise ValueError(f"the {self.variant} variant is bound to one array: name its preset")
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -89,18 +89,29 @@ ANY_ARRAY_FINE = replace(
 )
 """A finer grid and narrower targets, once the network knows where to look"""
 
+PAPER_SSCL = TrainingConfig(
+    name="paper-sscl",
+    variant="sscl",
+    steps=1250,
+    array="respeaker-usb-4mic-v2",
+    scenes=SceneConfig(source_counts=(0.0, 0.6, 0.3, 0.1), snr_db=(0.0, 35.0)),
+    batches_per_chunk=12,
+)
+"""The paper's first stage: a masked microphone is reconstructed, no direction is ever told"""
+
 PAPER = TrainingConfig(
     name="paper",
     variant="regression",
-    steps=20000,
+    starts_from="paper-sscl",
+    steps=5000,
     target_sigma_deg=5.0,
     count_weight=0.5,
     array="respeaker-usb-4mic-v2",
     scenes=SceneConfig(source_counts=(0.05, 0.5, 0.35, 0.10), snr_db=(0.0, 35.0)),
-    batches_per_chunk=12,
+    batches_per_chunk=24,
 )
 
-CONFIGS = {config.name: config for config in (ANY_ARRAY, ANY_ARRAY_FINE, PAPER)}
+CONFIGS = {config.name: config for config in (ANY_ARRAY, ANY_ARRAY_FINE, PAPER_SSCL, PAPER)}
 
 
 def smoke(config: TrainingConfig) -> TrainingConfig:

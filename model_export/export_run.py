@@ -41,6 +41,8 @@ def export_run(
 ) -> Manifest:
     """Export the run's checkpoint as a bundle; a `weights` run gets its source count first."""
     config, task, step = load_run(run)
+    if config.variant == "sscl":
+        raise ValueError(f"{run} only pretrains an encoder: train 'paper' from it and export that")
     training: dict[str, Any] = {
         "config": config.as_dict(),
         "steps": step,

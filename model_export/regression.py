@@ -10,11 +10,12 @@ beside it. Deviations from the paper's text:
 - The MUSIC floor is learned and spectra are divided by their maximum per bin, because the paper's
   unbounded P spans six decades; FAF divides by the sum of its weights.
 - Scenes without a source train the count branch only, MUSIC having no spectrum for them.
+
+The encoder comes from the self-supervised stage (``model_export.sscl``).
 """
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,15 +24,16 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from model_export import rooms
 from model_export.config import TrainingConfig
 from model_export.networks import CovarianceNetwork, FrequencyAttentionFusion, SourceCountNetwork
 from model_export.scenes import Scene
+from model_export.sscl import SsclTask, load_encoder
 from model_export.subspace import delay_products, signal_power, signal_projector
 from model_export.targets import target_spectrum
 from model_export.tasks import (
     STFT,
     Batch,
+    Task,
     nearest_peak_error,
     padded_azimuths,
     steering_delays,
@@ -40,11 +42,6 @@ from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.spectrogram import spectrogram_features
 from service.doa.steering import azimuth_grid
-from service.doa.types import FloatArray
-
-RESPONSE_SAMPLES = 4096
-"""0.26 s; the reflections of order 4 in a room of 10 m have passed by then"""
-DIFFUSE_FIELDS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,13 +136,18 @@ class RegressionTask:
         self.config = config
         self.array = preset(config.array)
         self.model = RegressionPipeline(self.array.num_microphones)
-        self._chunks = 0
 
-    def prepare_chunk(self, chunk: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        """New rooms with the bound array; the bank's chunk, of other arrays, is but their seed."""
-        self._chunks += 1
-        drawn = zlib.crc32(np.ascontiguousarray(chunk["azimuth"]).tobytes())
-        return simulate_array_chunk((self.config.seed, drawn, self._chunks), self.array)
+    def start_from(self, start: Task) -> None:
+        """Take the encoder of the self-supervised stage; everything else stays as it is.
+
+        Raises
+        ------
+        ValueError
+            If ``start`` was trained on other features, another array or another encoder.
+        """
+        if not isinstance(start, SsclTask):
+            raise ValueError(f"{self.config.name} starts from an `sscl` run, not from another kind")
+        load_encoder(self.model.covariance.encoder, start, self.config)
 
     def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch:
         """Features, and the array and the labels turned by one random angle per batch.
@@ -207,42 +209,3 @@ def rotated_products(array: MicrophoneArray, rotation: Tensor, azimuth: Tensor) 
     positions = array.rotated(float(rotation)).positions
     delays = np.stack([steering_delays(positions, row) for row in azimuth.double().numpy()])
     return delay_products(torch.from_numpy(delays), torch.from_numpy(STFT.frequencies).float())
-
-
-def simulate_array_chunk(
-    seed: int | Sequence[int], array: MicrophoneArray
-) -> dict[str, FloatArray]:
-    """Rooms of image order 0 to 4, walls that absorb nothing, all with the same array.
-
-    Half are the paper's 7 x 7 x 3 m room and half of random size. They take a second, against
-    minutes for rooms with a reverberation time, so that they need not be kept on disk.
-
-    Returns
-    -------
-    chunk : dict
-        As ``rooms.simulate_chunk`` gives, without ``elevation`` and ``room``.
-    """
-    rng = np.random.default_rng(seed)
-    responses, azimuths, distances, diffuse = [], [], [], []
-    for _ in range(rooms.CHUNK_ROOMS):
-        room = rooms.random_room(rng)
-        while room.max_order is None:
-            room = rooms.random_room(rng)
-        sources, azimuth, _, distance = rooms.place_sources(rng, room, rooms.SOURCES_PER_ROOM)
-        jittered = array.positions + rng.normal(scale=0.001, size=array.positions.shape)
-        simulated = rooms.impulse_responses(room, jittered, sources, longest=RESPONSE_SAMPLES)
-        peaks = np.abs(simulated).max(axis=(1, 2), keepdims=True)
-        responses.append((simulated / peaks).astype(np.float16))
-        azimuths.append(azimuth)
-        distances.append(distance)
-    # The slowest part by far; scenes shift the noise in time, so that few fields go a long way.
-    for _ in range(DIFFUSE_FIELDS):
-        noise = rooms.diffuse_noise(rng, array.positions, rooms.NOISE_SAMPLES)
-        diffuse.append((0.1 * noise).astype(np.float16))
-    return {
-        "responses": np.stack(responses),
-        "positions": np.repeat(array.positions[None], rooms.CHUNK_ROOMS, axis=0),
-        "azimuth": np.stack(azimuths),
-        "distance": np.stack(distances),
-        "diffuse": np.stack(diffuse)[np.arange(rooms.CHUNK_ROOMS) % DIFFUSE_FIELDS],
-    }

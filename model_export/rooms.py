@@ -56,7 +56,12 @@ def paper_room(max_order: int) -> RoomSpec:
 
 
 def impulse_responses(
-    room: RoomSpec, positions: FloatArray, sources: FloatArray, *, longest: int | None = None
+    room: RoomSpec,
+    positions: FloatArray,
+    sources: FloatArray,
+    *,
+    longest: int | None = None,
+    highest_order: int = MAX_ORDER,
 ) -> FloatArray:
     """Responses from every source to every microphone.
 
@@ -69,6 +74,8 @@ def impulse_responses(
         Sources relative to the array centre, metres.
     longest : int, optional
         Samples to cut or pad to; by default the longest response's length.
+    highest_order : int
+        Image order at which the reflections of a room with an RT60 end.
 
     Returns
     -------
@@ -82,7 +89,7 @@ def impulse_responses(
             room.size,
             fs=SAMPLE_RATE,
             materials=pra.Material(absorption),
-            max_order=min(order, MAX_ORDER),
+            max_order=min(order, highest_order),
         )
     else:
         shoebox = pra.ShoeBox(room.size, fs=SAMPLE_RATE, max_order=0)

@@ -7,7 +7,7 @@ source has the same power at the first microphone before noise, as the paper's p
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -73,14 +73,16 @@ class Scene:
     """(N, 3) nominal microphone positions in metres"""
     azimuth: FloatArray
     """(M,) radians"""
-    direct: FloatArray
-    """(M, T) float32: the talkers' direct sound at the first microphone"""
-    heard: FloatArray
-    """(T,) float32: all that the first microphone hears, before its imperfections"""
+    direct: FloatArray | None = None
+    """(M, T) float32: the talkers' direct sound at the first microphone; None: not known"""
+    heard: FloatArray | None = None
+    """(T,) float32: all that the first microphone hears, before its imperfections, likewise"""
 
     def crop(self, start: int, num_samples: int) -> Scene:
-        """A shorter scene, of the talkers that sound in it."""
+        """A shorter scene, of the talkers that sound in it as far as that is known."""
         kept = slice(start, start + num_samples)
+        if self.direct is None or self.heard is None:
+            return replace(self, audio=self.audio[:, kept])
         whole = np.square(self.direct).mean(axis=1)
         sounds = np.square(self.direct[:, kept]).mean(axis=1) > AUDIBLE * whole
         return Scene(

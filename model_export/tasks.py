@@ -38,7 +38,8 @@ class Task(Protocol):
     @property
     def model(self) -> nn.Module: ...
 
-    def prepare_chunk(self, chunk: dict[str, FloatArray]) -> dict[str, FloatArray]: ...
+    def start_from(self, start: Task) -> None:
+        """Take what an earlier stage has learned, or say why it does not fit (ValueError)."""
 
     def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch: ...
 
@@ -51,7 +52,11 @@ def task_of(config: TrainingConfig) -> Task:
     """The task of a configuration, with a freshly initialised model."""
     if config.variant == "weights":
         return WeightsTask(config)
-    from model_export.regression import RegressionTask  # it builds on this module
+    if config.variant == "sscl":
+        from model_export.sscl import SsclTask  # it builds on this module
+
+        return SsclTask(config)
+    from model_export.regression import RegressionTask  # this one, too
 
     return RegressionTask(config)
 
@@ -63,8 +68,8 @@ class WeightsTask:
         self.config = config
         self.model = WeightsPipeline()
 
-    def prepare_chunk(self, chunk: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        return chunk
+    def start_from(self, start: Task) -> None:
+        self.model.load_state_dict(start.model.state_dict())
 
     def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch:
         if rng.random() < self.config.short_windows:
@@ -94,7 +99,7 @@ class WeightsTask:
         target = target_spectrum(batch["azimuth"], batch["mask"], batch["grid"], sigma)
         losses = {
             "spectrum": spectrum_cross_entropy(result.fused, target, result.sharpness),
-            "share": F.binary_cross_entropy_with_logits(result.direct_share, batch["direct_share"]),
+            "share": _known_cross_entropy(result.direct_share, batch["direct_share"]),
         }
         return {"loss": losses["spectrum"] + SHARE_WEIGHT * losses["share"], **losses}
 
@@ -113,12 +118,23 @@ class WeightsTask:
         return result
 
 
+def _known_cross_entropy(logits: Tensor, target: Tensor) -> Tensor:
+    """Mean binary cross entropy over the cells whose target is not NaN."""
+    known = torch.isfinite(target)
+    if not known.any():
+        return logits.sum() * 0.0
+    return F.binary_cross_entropy_with_logits(logits[known], target[known])
+
+
 def direct_share(scene: Scene) -> FloatArray:
     """Share of the strongest talker's direct sound in every cell, (F, L) float32 in [0, 1].
 
     At the first microphone, |D|^2 / (|D|^2 + |X - D|^2) of the talker that is strongest there; 0
-    without talkers. It is what the weights should follow, known only where scenes are simulated.
+    without talkers. It is what the weights should follow; NaN in recordings, where nobody knows.
     """
+    if scene.direct is None or scene.heard is None:
+        shape = (STFT.num_bins - 1, STFT.num_frames(scene.audio.shape[-1]))
+        return np.full(shape, np.nan, dtype=np.float32)
     heard = STFT.transform(scene.heard)[1:]
     if not len(scene.direct):
         return np.zeros(heard.shape, dtype=np.float32)

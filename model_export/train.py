@@ -1,4 +1,4 @@
-"""Supervised training: resumable, with curves in CSV, the configuration and the seed on disk.
+"""Training: resumable, with curves in CSV, the configuration and the seed on disk.
 
 A run folder holds ``config.json``, ``curves.csv`` and ``checkpoint.pt``; the same run started again
 continues at its last checkpoint.
@@ -10,68 +10,34 @@ import csv
 import json
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from torch.utils.data import DataLoader, IterableDataset
+from torch.utils.data import DataLoader
 
 from model_export.config import TrainingConfig
-from model_export.scenes import RoomBank, draw_scene
+from model_export.streams import SceneSource, SceneStream
 from model_export.tasks import Batch, Task, task_of
-from service.doa.types import FloatArray
 
 VALIDATION_BATCHES = 8
-
-
-class SceneStream(IterableDataset[Batch]):
-    """An endless stream of simulated batches; the seed and the step decide every one."""
-
-    def __init__(
-        self,
-        config: TrainingConfig,
-        bank: RoomBank,
-        speech: Sequence[FloatArray],
-        *,
-        noises: Sequence[FloatArray] = (),
-        first_step: int = 0,
-    ) -> None:
-        self.config, self.bank, self.speech, self.noises = config, bank, speech, noises
-        self.first_step = first_step
-
-    def __iter__(self) -> Iterator[Batch]:
-        info = torch.utils.data.get_worker_info()
-        worker = info.id if info else 0
-        rng = np.random.default_rng([self.config.seed, self.first_step, worker])
-        task = task_of(self.config)
-        while True:
-            chunk = task.prepare_chunk(self.bank.chunk(rng))
-            for _ in range(self.config.batches_per_chunk):
-                scenes = [
-                    draw_scene(rng, chunk, self.speech, self.config.scenes, noises=self.noises)
-                    for _ in range(self.config.batch_size)
-                ]
-                yield task.collate(rng, scenes)
 
 
 def train(
     config: TrainingConfig,
     run: Path,
-    bank: Path,
-    speech: Sequence[FloatArray],
-    validation_speech: Sequence[FloatArray],
+    scenes: SceneSource,
+    validation_scenes: SceneSource,
     *,
-    noises: Sequence[FloatArray] = (),
     init: Path | None = None,
     workers: int = 1,
 ) -> Task:
     """Train until ``config.steps``, continuing from the run folder's checkpoint if there is one.
 
-    ``noises`` are steady mono recordings; ``init`` is the folder of the run that
-    ``config.starts_from`` names.
+    ``init`` is the folder of the run that ``config.starts_from`` names.
 
     Returns
     -------
@@ -90,9 +56,9 @@ def train(
     if step >= config.steps:
         task.model.eval()
         return task
-    stream = SceneStream(config, RoomBank(bank), speech, noises=noises, first_step=step)
+    stream = SceneStream(config, scenes, first_step=step)
     loader = iter(DataLoader(stream, batch_size=None, num_workers=workers, prefetch_factor=4))
-    validation = _validation_batches(config, bank, validation_speech)
+    validation = _validation_batches(config, validation_scenes)
     running: dict[str, float] = {}
     with _progress(config, step) as (progress, bar):
         while step < config.steps:
@@ -110,7 +76,7 @@ def train(
 
 
 def _start_from(config: TrainingConfig, task: Task, init: Path | None) -> None:
-    """Load the parameters of the run that the configuration starts from."""
+    """Take from the run that the configuration starts from what the task takes."""
     if config.starts_from is None and init is None:
         return
     if config.starts_from is None or init is None:
@@ -118,7 +84,7 @@ def _start_from(config: TrainingConfig, task: Task, init: Path | None) -> None:
     start, initial, _ = load_run(init)
     if start.name != config.starts_from:
         raise ValueError(f"{config.name} starts from {config.starts_from}, not from {start.name}")
-    task.model.load_state_dict(initial.model.state_dict())
+    task.start_from(initial)
 
 
 def load_run(run: Path) -> tuple[TrainingConfig, Task, int]:
@@ -156,11 +122,8 @@ def _validate(task: Task, batches: Sequence[Batch]) -> dict[str, float]:
     return {key: float(np.mean([scores[key] for scores in per_batch])) for key in per_batch[0]}
 
 
-def _validation_batches(
-    config: TrainingConfig, bank: Path, speech: Sequence[FloatArray]
-) -> list[Batch]:
-    rooms = RoomBank(bank, validation=True)
-    stream = iter(SceneStream(config, rooms, speech, first_step=10**6))
+def _validation_batches(config: TrainingConfig, scenes: SceneSource) -> list[Batch]:
+    stream = iter(SceneStream(config, scenes, first_step=10**6))
     return [next(stream) for _ in range(VALIDATION_BATCHES)]
 
 

@@ -29,7 +29,12 @@ def test_from_rooms_to_a_bundle_that_serves(
 ) -> None:
     run, out = tmp_path / "run", tmp_path / "bundles" / config
     data = ["--rooms", str(rooms), "--speech-commands", str(corpus)]
-    assert main(["train", "--config", config, "--run", str(run), "--smoke", *data]) == 0
+    train = ["train", "--config", config, "--run", str(run), "--smoke", *data]
+    if config == "paper":
+        first = str(tmp_path / "sscl")
+        assert main(["train", "--config", "paper-sscl", "--run", first, "--smoke", *data]) == 0
+        train += ["--init", first]
+    assert main(train) == 0
     curves = (run / "curves.csv").read_text().splitlines()
     assert [line.split(",")[0] for line in curves] == ["step", "2", "4"]
     assert json.loads((run / "config.json").read_text())["seed"] == 1
