@@ -46,7 +46,7 @@ LEVEL_DBFS = -35.0
 BLOCK_SAMPLES = 4 * SAMPLE_RATE
 """A diffuse field is made in blocks, each from directions of its own"""
 OWN_FAN_DISTANCE = 0.10
-"""Metres from the array's centre, behind and below it"""
+"""Metres from the array's centre"""
 ROOM_FAN_DISTANCE = 1.5
 """Metres"""
 SENSOR_NOISE_DB = -30.0
@@ -82,9 +82,14 @@ def isotropic_noise(
     return _in_blocks(partial(diffuse_noise, rng, positions), num_samples)
 
 
-def own_fan(rng: np.random.Generator, positions: FloatArray, num_samples: int) -> FloatArray:
-    """The robot's own fan: its tones reach all microphones, the air brushes each on its own."""
-    place = OWN_FAN_DISTANCE * unit_vectors(np.array(np.pi), np.deg2rad(-45.0))
+def own_fan(
+    elevation_deg: float, rng: np.random.Generator, positions: FloatArray, num_samples: int
+) -> FloatArray:
+    """The robot's own fan behind the array's centre, at a negative elevation also below it.
+
+    Its tones reach all microphones; the air that it blows brushes each of them on its own.
+    """
+    place = OWN_FAN_DISTANCE * unit_vectors(np.array(np.pi), np.deg2rad(elevation_deg))
     distance = np.linalg.norm(positions - place, axis=-1, keepdims=True)
     spectrum = np.fft.rfft(fan_tones(rng, num_samples))
     omega = 2 * np.pi * np.fft.rfftfreq(num_samples, 1 / SAMPLE_RATE)
@@ -121,7 +126,9 @@ NOISES = (
     Noise("60 s of silence", silence),
     Noise("60 s of white sensor noise", sensor_noise),
     Noise("60 s of diffuse noise", isotropic_noise),
-    Noise("60 s of the robot's own fan", own_fan),
+    # From below its tones are the same at all microphones of a level array.
+    Noise("60 s of the robot's own fan, below", partial(own_fan, -90.0)),
+    Noise("60 s of the robot's own fan, behind and below", partial(own_fan, -45.0)),
     Noise("60 s of a fan at 1.5 m, RT60 0.4 s", room_fan),
 )
 
@@ -164,6 +171,7 @@ def noise_file(noise: Noise, array: MicrophoneArray, seed: int) -> io.BytesIO:
     scaled = 10 ** (LEVEL_DBFS / 20) * unit_power(audio)
     file = io.BytesIO()
     soundfile.write(file, scaled.T, SAMPLE_RATE, format="WAV", subtype="PCM_16")
+    file.seek(0)
     return file
 
 

@@ -61,11 +61,11 @@ the truth also where the others are not. The classical methods of this service u
 dimension where the count is unknown. "–": the method does not fit the cell's array, or has no
 such score.
 
-Recordings without any talker (digital silence, white noise, isotropic noise, a fan 10 cm below and
-behind the array whose tones all microphones hear while the air brushes each on its own, a fan
-across a room) go through the service's own path with the options that requests have by default. A
-minute has 117 windows; a source in the recording's summary is one false source and so is every
-window that reports any.
+Recordings without any talker (digital silence, white noise, isotropic noise; a synthetic fan 10 cm
+from the array, straight below it or 45 degrees behind and below, whose tones all microphones hear
+while the air brushes each on its own; a fan across a room) go through the service's own path with
+the options that requests have by default. A minute has 117 windows; a source in the recording's
+summary is one false source and so is every window that reports any.
 """
 
 FIGURES = """## Figures
