@@ -80,6 +80,8 @@ def run(workers: Workers, scenes: int, *, cells: Sequence[Cell] = CELLS) -> Resu
     results = Results(scenes, workers.inputs.seed)
     for cell in cells:
         windows = [scene for scene in islice(answered, scenes) if scene.voiced]
+        if not windows:
+            raise ValueError(f"{cell.name}: nobody speaks in any window: take more scenes")
         truths = [scene.truth for scene in windows]
         results.cells[cell.name] = {
             name: scoring.evaluate([scene.found[name] for scene in windows], truths)
