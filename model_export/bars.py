@@ -81,8 +81,12 @@ def judge(bar: Bar, scores: Scores, model: str = JUDGED) -> Verdict:
 
 
 def bars_section(scores: Scores, model: str = JUDGED) -> str:
-    """What is judged, how many bars are met, and a Markdown table with a row per bar."""
-    verdicts = [judge(bar, scores, model) for bar in BARS]
+    """What is judged, how many bars are met, and a Markdown table with a row per bar.
+
+    A part of an evaluation shows the bars of the cells that it ran.
+    """
+    ran = [bar for bar in BARS if any(cell in scores for cell in bar.cells)]
+    verdicts = [judge(bar, scores, model) for bar in ran]
     met = sum(verdict.met is True for verdict in verdicts)
     lines = [
         f"The bundle `{model}`, which answers unless a request names another, against what it is",

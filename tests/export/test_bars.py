@@ -55,7 +55,7 @@ def test_the_section_says_who_is_judged_and_how() -> None:
     run = {name: {"any-array": {"maae_deg": 0.41}, PEER: {"maae_deg": 1.30}}}
     section = bars_section(run)
     assert "`any-array`" in section
-    assert f"0 of {len(BARS)} bars met" in section
+    assert "0 of 1 bars met" in section
     assert (
         f"| {name}: error | at most 0.40°, at most 0.3 of NormMUSIC's | 1.41° | 0.41° | 1.30° "
         "| 0.32 | **short** |"
