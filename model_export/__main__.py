@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 
@@ -15,6 +16,10 @@ from model_export.datasets.speech import Split, librispeech, load, speech_comman
 from model_export.streams import SceneSource
 from service.doa.presets import PRESETS, preset
 from service.doa.types import FloatArray
+
+if TYPE_CHECKING:
+    from model_export.results import Results
+    from model_export.workers import Workers
 
 LIBRISPEECH_REPEATS = 6
 """Utterances stand this often among the words, so that a tenth of the scenes is running speech"""
@@ -70,8 +75,18 @@ def _parser() -> argparse.ArgumentParser:
     evaluate = commands.add_parser("evaluate", help="score bundles and classical methods")
     evaluate.add_argument("--bundle", type=Path, nargs="*", default=[], help="bundle folders")
     evaluate.add_argument("--speech-commands", type=Path, required=True)
-    evaluate.add_argument("--scenes", type=int, default=100, help="scenes a cell")
-    evaluate.add_argument("--out", type=Path, required=True, help="folder of the tables")
+    evaluate.add_argument("--scenes", type=int, default=500, help="scenes a cell (default 500)")
+    evaluate.add_argument("--workers", type=int, default=2, help="processes (default 2)")
+    evaluate.add_argument(
+        "--cells", metavar="PATTERN", help="only cells like 'M=2*', '60 s*', 'reliability'; printed"
+    )
+    evaluate.add_argument(
+        "--split", choices=("heldout", "development"), default="heldout", help="speakers"
+    )
+    evaluate.add_argument(
+        "--noise", type=Path, nargs="*", default=[], help="steady recordings, as further noises"
+    )
+    evaluate.add_argument("--out", type=Path, help="folder of the tables (default: only print)")
     evaluate.add_argument(
         "--write-scores", action="store_true", help="put the scores into the bundles' manifests"
     )
@@ -196,19 +211,43 @@ def _export(arguments: argparse.Namespace) -> None:
 
 
 def _evaluate(arguments: argparse.Namespace) -> None:
-    from model_export.evaluate import run
+    from model_export.evaluate import SEEDS, evaluate
+    from model_export.methods import Methods
+    from model_export.workers import Inputs, Workers
+
+    _check_writing(arguments)
+    speech = load(speech_commands(arguments.speech_commands, arguments.split))
+    inputs = Inputs(Methods(arguments.bundle), speech, SEEDS[arguments.split])
+    with Workers(inputs, arguments.workers) as workers:
+        results = evaluate(
+            workers, arguments.scenes, pattern=arguments.cells or "*", recordings=arguments.noise
+        )
+        results.split = arguments.split
+        print(results.tables())
+        if arguments.out:
+            _write_results(arguments, workers, results)
+
+
+def _check_writing(arguments: argparse.Namespace) -> None:
+    """Only a whole run on the held-out speakers becomes the documents' truth."""
+    partial = arguments.cells is not None or arguments.split != "heldout"
+    if partial and (arguments.out or arguments.write_scores):
+        raise ValueError(
+            "--cells and --split development only print: leave --out and --write-scores out"
+        )
+    if not arguments.out and (arguments.write_scores or arguments.figures or arguments.readme):
+        raise ValueError("--write-scores, --figures and --readme need --out, where results.json is")
+
+
+def _write_results(arguments: argparse.Namespace, workers: Workers, results: Results) -> None:
     from model_export.export import update_scores
+    from model_export.figures import draw
     from model_export.results import update_readme
     from service.inference.bundle import read_manifest
 
-    speech = load(speech_commands(arguments.speech_commands, "heldout"))
-    results = run(arguments.bundle, speech, arguments.scenes)
     results.write(arguments.out)
-    print(results.document())
     if arguments.figures:
-        from model_export.figures import draw
-
-        draw(arguments.out, arguments.bundle, speech, arguments.figures)
+        draw(arguments.out, workers, arguments.figures, results)
     if arguments.readme:
         update_readme(arguments.readme, results)
     if arguments.write_scores:

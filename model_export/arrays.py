@@ -1,14 +1,23 @@
-"""Random microphone arrays for training models that must work on any geometry."""
+"""Microphone arrays: random ones for models that must work on any, fixed ones to test them on."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 
 from service.doa.array import MicrophoneArray
+from service.doa.presets import preset
 from service.doa.types import FloatArray
 
 MIN_SPACING = 0.008  # m; microphones of real boards are not closer
 KINDS = ("ring", "ring_and_centre", "irregular", "three_dimensional")
+
+
+def named_array(name: str) -> MicrophoneArray:
+    """The test array or preset of this name, or UnknownArray."""
+    return TEST_ARRAYS.get(name) or preset(name)
 
 
 def random_array(
@@ -24,16 +33,17 @@ def random_array(
     if kind == "ring_and_centre" and num_microphones < 4:
         kind = "ring"
     if kind == "ring":
-        positions = _ring(rng, num_microphones, diameter / 2)
+        positions = _ring(num_microphones, diameter / 2, rng.uniform(0, 2 * np.pi))
     elif kind == "ring_and_centre":
-        positions = np.vstack([_ring(rng, num_microphones - 1, diameter / 2), np.zeros(3)])
+        ring = _ring(num_microphones - 1, diameter / 2, rng.uniform(0, 2 * np.pi))
+        positions = np.vstack([ring, np.zeros(3)])
     else:
         positions = _scatter(rng, num_microphones, diameter, flat=kind == "irregular")
     return MicrophoneArray(str(kind), positions[rng.permutation(num_microphones)])
 
 
-def _ring(rng: np.random.Generator, count: int, radius: float) -> FloatArray:
-    azimuth = rng.uniform(0, 2 * np.pi) + np.arange(count) * (2 * np.pi / count)
+def _ring(count: int, radius: float, first_azimuth: float = 0.0) -> FloatArray:
+    azimuth = first_azimuth + np.arange(count) * (2 * np.pi / count)
     return radius * np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], axis=-1)
 
 
@@ -51,3 +61,22 @@ def _scatter(rng: np.random.Generator, count: int, diameter: float, *, flat: boo
         spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
         if spacing >= MIN_SPACING and spread[1] > 0.35 * spread[0]:
             return points
+
+
+TEST_ARRAYS: Mapping[str, MicrophoneArray] = MappingProxyType(
+    {
+        array.name: array
+        for array in (
+            MicrophoneArray("6-mic ring r 36 mm", _ring(6, 0.036)),
+            MicrophoneArray("4-mic ring r 50 mm", _ring(4, 0.050)),
+            MicrophoneArray(
+                "irregular 4-mic",
+                # Four points of a random disc 9 cm across (seed 4), up to 8 mm off the plane.
+                np.array([[-16, 29, 4], [1, -25, -2], [52, -5, -7], [-38, 0, 4]]) / 1000,
+            ),
+            MicrophoneArray("8-mic ring r 100 mm", _ring(8, 0.100)),
+        )
+    }
+)
+"""Arrays that no training names, for evaluation; microphone 0 of a ring is at +x, then
+counter-clockwise"""

@@ -17,6 +17,7 @@ from rich.progress import track
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
+from model_export.reliability import calibration_error, confidence_bins
 from model_export.scenes import WINDOW_SAMPLES, RoomBank, Scene, SceneConfig, draw_scene
 from model_export.tasks import SHORT_SAMPLES
 from service.doa.array import MicrophoneArray
@@ -179,13 +180,8 @@ def counting_scores(network: CandidateCountNetwork, data: CountingData) -> dict[
     loss = F.cross_entropy(logits, count)
     loss = loss + F.binary_cross_entropy_with_logits(confidence, hit)
     chance = torch.sigmoid(confidence).flatten().numpy()
-    bins = np.minimum((chance * 10).astype(int), 9)
-    gaps = [
-        abs(chance[bins == b].mean() - data.hit.flatten()[bins == b].mean()) * (bins == b).mean()
-        for b in np.unique(bins)
-    ]
     return {
         "loss": float(loss),
         "count_accuracy": float((logits.argmax(-1) == count).float().mean()),
-        "calibration_error": float(np.sum(gaps)),
+        "calibration_error": calibration_error(confidence_bins(chance, data.hit.flatten() > 0)),
     }

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import shutil
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -29,11 +30,13 @@ from model_export.tasks import STFT
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 from service.inference.bundle import (
+    CARD,
     COVARIANCE,
     FILES,
     FUSION,
     GOLDEN,
     MANIFEST,
+    OPTIONAL_FILES,
     SOURCE_COUNT,
     file_sha256,
     load_bundle,
@@ -44,6 +47,8 @@ from service.inference.registry import self_test
 
 MAX_PARITY = 1e-3
 """Largest allowed difference of fused spectra, whose maximum is at most 1"""
+CARDS = Path(__file__).parents[1] / "docs" / "models"
+"""Model cards, ``<name>.md``"""
 GOLDEN_ROOM = RoomSpec((5.0, 4.0, 2.8), (2.3, 1.9, 1.1), rt60=0.3)
 
 
@@ -158,6 +163,7 @@ def write_bundle(
     np.savez(folder / FUSION, **fusion)  # type: ignore[arg-type]
     golden = {"positions": array.positions, "windows": windows[:1], "spectra": np.zeros((1, 1))}
     np.savez_compressed(folder / GOLDEN, **golden)  # type: ignore[arg-type]
+    copy_card(folder, fields["name"])
     draft = {**fields, **graphs, "parity": {}}
     _write_manifest(folder, draft)
     localizer = localizer_of(load_bundle(folder), array)
@@ -188,14 +194,23 @@ def stft_section(frames: int) -> dict[str, int]:
     }
 
 
+def copy_card(folder: Path, name: str, cards: Path = CARDS) -> None:
+    """Put the model card of this name into a bundle, if one is written."""
+    card = cards / f"{name}.md"
+    if card.is_file():
+        shutil.copyfile(card, folder / CARD)
+
+
 def update_scores(folder: Path, scores: Mapping[str, Any]) -> None:
-    """Put an evaluation's scores into a bundle's manifest."""
+    """Put an evaluation's scores into a bundle's manifest, and its card as it is now."""
     fields = json.loads((folder / MANIFEST).read_text())
+    copy_card(folder, fields["name"])
     _write_manifest(folder, {**fields, "scores": dict(scores)})
 
 
 def _write_manifest(folder: Path, fields: Mapping[str, Any]) -> Manifest:
-    hashes = {name: file_sha256(folder / name) for name in FILES}
+    optional = [name for name in OPTIONAL_FILES if (folder / name).is_file()]
+    hashes = {name: file_sha256(folder / name) for name in (*FILES, *optional)}
     manifest = Manifest.model_validate({**fields, "files": hashes})
     text = json.dumps(manifest.model_dump(), indent=2)
     (folder / MANIFEST).write_text(text + "\n")

@@ -29,6 +29,8 @@ MAX_ORDER = 45
 CHUNK_ROOMS = 32
 SOURCES_PER_ROOM = 4
 NOISE_SAMPLES = 16640
+NUM_WAVES = 48
+"""Plane waves of a diffuse field"""
 CHUNK_KEYS = ("responses", "positions", "azimuth", "elevation", "distance", "diffuse", "room")
 
 
@@ -157,18 +159,39 @@ def place_sources(
 
 
 def diffuse_noise(
-    rng: np.random.Generator, positions: FloatArray, num_samples: int, num_waves: int = 48
+    rng: np.random.Generator, positions: FloatArray, num_samples: int, num_waves: int = NUM_WAVES
 ) -> FloatArray:
     """White isotropic noise: independent plane waves from all over the sphere, (N, T) float32."""
+    directions = isotropic_directions(rng, num_waves)
+    return superpose(positions, directions, rng.normal(size=(num_waves, num_samples)))
+
+
+def isotropic_directions(rng: np.random.Generator, num_waves: int = NUM_WAVES) -> FloatArray:
+    """Unit vectors (K, 3) spread evenly over the sphere."""
     elevation = np.arcsin(rng.uniform(-1, 1, num_waves))
-    directions = unit_vectors(rng.uniform(0, 2 * np.pi, num_waves), elevation)
+    return unit_vectors(rng.uniform(0, 2 * np.pi, num_waves), elevation)
+
+
+def superpose(positions: FloatArray, directions: FloatArray, signals: FloatArray) -> FloatArray:
+    """Plane waves at the microphones, (N, T) float32 with the waves' mean power.
+
+    Parameters
+    ----------
+    positions : (N, 3) float
+        Metres.
+    directions : (K, 3) float
+        Unit vectors towards the waves' origins.
+    signals : (K, T) float
+        What each wave carries, delayed circularly.
+    """
+    waves, num_samples = signals.shape
     delays = positions @ directions.T / SPEED_OF_SOUND  # (N, K) seconds
-    spectra = np.fft.rfft(rng.normal(size=(num_waves, num_samples)), axis=-1)
+    spectra = np.fft.rfft(signals, axis=-1)
     omega = 2 * np.pi * np.fft.rfftfreq(num_samples, 1 / SAMPLE_RATE)
     mixed = np.zeros((len(positions), omega.size), dtype=complex)
-    for wave in range(num_waves):
+    for wave in range(waves):
         mixed += np.exp(1j * omega * delays[:, wave, None]) * spectra[wave]
-    noise = np.fft.irfft(mixed, num_samples, axis=-1) / np.sqrt(num_waves)
+    noise = np.fft.irfft(mixed, num_samples, axis=-1) / np.sqrt(waves)
     return noise.astype(np.float32)
 
 

@@ -1,7 +1,8 @@
-"""Scenes for evaluation and for users: the paper's protocol, seeded, with metadata beside them.
+"""Scenes for evaluation and for users: seeded protocols, with metadata beside them.
 
 Training draws its scenes from a bank of rooms (``scenes``); here every scene has its own room, no
-random imperfection, and a JSON sidecar that says all there is to know about it.
+random imperfection, and a JSON sidecar that says all there is to know about it. As in the paper a
+talker says one word from the window's beginning, or speaks on without a pause.
 """
 
 from __future__ import annotations
@@ -16,14 +17,17 @@ import numpy as np
 import soundfile
 from rich.progress import track
 
+from model_export.arrays import named_array
 from model_export.noise import unit_power
 from model_export.rooms import SAMPLE_RATE, RoomSpec, impulse_responses, paper_room
+from model_export.running_speech import active_power, mean_power, running_speech
 from model_export.scenes import WINDOW_SAMPLES, convolve
 from service.doa.array import MicrophoneArray
-from service.doa.presets import preset
 from service.doa.scoring import circular_error
 from service.doa.steering import unit_vectors
 from service.doa.types import FloatArray
+
+VOICED_DB = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +36,7 @@ class Protocol:
 
     num_sources: int = 1
     array: str = "respeaker-usb-4mic-v2"
+    """A preset or one of ``arrays.TEST_ARRAYS``"""
     room: RoomSpec | None = None
     """None is the paper's room with the orders below"""
     orders: tuple[int, int] = (4, 4)
@@ -43,6 +48,10 @@ class Protocol:
     min_separation_deg: float = 10.0
     separation_deg: float | None = None
     """Fixed angle between two sources; None draws it"""
+    continuous: bool = False
+    """Talkers speak before, throughout and after the window, not one word from its beginning"""
+    num_samples: int = WINDOW_SAMPLES
+    """Of the window"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +63,9 @@ class SimulatedScene:
     array: MicrophoneArray
     azimuth: FloatArray
     """(M,) radians"""
+    voiced: bool
+    """Every talker speaks in the window: there the dry speech is not ``VOICED_DB`` below its own
+    active level"""
     metadata: dict[str, Any]
 
 
@@ -63,15 +75,16 @@ def simulate_scene(
     seed: Sequence[int],
     *,
     array: MicrophoneArray | None = None,
-    num_samples: int = WINDOW_SAMPLES,
 ) -> SimulatedScene:
     """One scene; the same seed gives the same scene.
 
-    Every source has unit power at the first microphone and the noise has that of one source times
-    ``num_sources`` less the SNR, as pyroomacoustics' ``simulate(snr=...)`` and the paper have it.
+    Every source has unit power at the first microphone (over its utterance, or over at least
+    ``WINDOW_SAMPLES`` of continuous speech from the window's beginning) and the noise has that of
+    one source times ``num_sources`` less the SNR, as pyroomacoustics' ``simulate(snr=...)`` and the
+    paper have it.
     """
     rng = np.random.default_rng(list(seed))
-    array = array or preset(protocol.array)
+    array = array or named_array(protocol.array)
     room = protocol.room or paper_room(
         int(rng.integers(protocol.orders[0], protocol.orders[1] + 1))
     )
@@ -79,10 +92,16 @@ def simulate_scene(
     sources = distance[:, None] * unit_vectors(azimuth)
     responses = impulse_responses(room, array.positions, sources)
     clips = rng.integers(len(speech), size=protocol.num_sources)
-    audio = np.zeros((array.num_microphones, num_samples), dtype=np.float32)
+    audio = np.zeros((array.num_microphones, protocol.num_samples), dtype=np.float32)
+    voiced = True
     for source, clip in enumerate(clips):
-        wet = unit_power(convolve(speech[clip], responses[source]))[:, :num_samples]
+        dry, start = _utterance(rng, protocol, speech[clip], responses.shape[-1])
+        end = len(dry) if protocol.continuous else None
+        wet = unit_power(convolve(dry, responses[source])[:, start:end])
+        wet = wet[:, : protocol.num_samples]
         audio[:, : wet.shape[1]] += wet
+        heard = dry[start : start + protocol.num_samples]
+        voiced = voiced and mean_power(heard) >= 10 ** (-VOICED_DB / 10) * active_power(dry)
     sigma = np.sqrt(max(1, protocol.num_sources) * 10 ** (-protocol.snr_db / 10))
     audio += np.float32(sigma) * rng.standard_normal(audio.shape, dtype=np.float32)
     metadata = {
@@ -93,9 +112,10 @@ def simulate_scene(
         "snr_db": protocol.snr_db,
         "room": asdict(room),
         "array": {"name": array.name, "positions_m": array.positions.tolist()},
+        "voiced": voiced,
         "sample_rate": SAMPLE_RATE,
     }
-    return SimulatedScene(audio, array, azimuth, metadata)
+    return SimulatedScene(audio, array, azimuth, voiced, metadata)
 
 
 def write_scenes(
@@ -109,6 +129,15 @@ def write_scenes(
         path = folder / f"scene_{index:05d}.wav"
         soundfile.write(path, (scale * scene.audio).T, SAMPLE_RATE, subtype="PCM_16")
         path.with_suffix(".json").write_text(json.dumps(scene.metadata, indent=2) + "\n")
+
+
+def _utterance(
+    rng: np.random.Generator, protocol: Protocol, clip: FloatArray, lead: int
+) -> tuple[FloatArray, int]:
+    """Dry speech and where in it the window begins: after ``lead`` samples of continuous speech."""
+    if not protocol.continuous:
+        return clip, 0
+    return running_speech(rng, clip, lead + max(protocol.num_samples, WINDOW_SAMPLES)), lead
 
 
 def _place(

@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Request
+from http import HTTPStatus
+from typing import Any
 
-from service.api.problems import problem_responses
-from service.api.schemas import ArraysAnswer, BundleAnswer, ModelsAnswer, PresetAnswer
+from fastapi import APIRouter, HTTPException, Request
+
+from service.api.problems import MEDIA_TYPE, problem_responses
+from service.api.schemas import (
+    ArraysAnswer,
+    BundleAnswer,
+    ModelCardAnswer,
+    ModelsAnswer,
+    PresetAnswer,
+)
 from service.api.state import state_of
 from service.doa.presets import PRESETS
-from service.errors import NotReady
+from service.errors import NotReady, UnknownModel
 
 router = APIRouter(tags=["catalog"])
+
+NOT_FOUND: dict[int | str, dict[str, Any]] = {
+    404: {
+        "description": "`not_found`",
+        "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}},
+    }
+}
 
 
 @router.get("/models", summary="List the models", responses=problem_responses(NotReady))
@@ -18,6 +34,21 @@ async def models(request: Request) -> ModelsAnswer:
     """The loaded model bundles with their hashes and scores."""
     bundles = state_of(request).models().bundles
     return ModelsAnswer(models=[BundleAnswer.of(b, default=b is bundles[0]) for b in bundles])
+
+
+@router.get(
+    "/models/{name}",
+    summary="Show a model with its card",
+    responses=NOT_FOUND | problem_responses(NotReady),
+)
+async def model(request: Request, name: str) -> ModelCardAnswer:
+    """One loaded model bundle, with its card: what it is for, made of and unfit for."""
+    registry = state_of(request).models()
+    try:
+        bundle = registry.get(name)
+    except UnknownModel as error:
+        raise HTTPException(HTTPStatus.NOT_FOUND) from error
+    return ModelCardAnswer.of(bundle, default=bundle is registry.bundles[0])
 
 
 @router.get("/arrays", summary="List the array presets")

@@ -192,6 +192,8 @@ class BundleAnswer(ModelAnswer):
     """Licences of the training data"""
     default: bool
     """True where requests that name no model get this one, if it fits their array"""
+    details: str
+    """Path of this answer with the model's card"""
 
     @classmethod
     def of(cls, bundle: Bundle, *, default: bool) -> Self:
@@ -209,7 +211,20 @@ class BundleAnswer(ModelAnswer):
             scores=manifest.scores,
             licences=manifest.licences,
             default=default,
+            details=f"/models/{manifest.name}",
         )
+
+
+class ModelCardAnswer(BundleAnswer):
+    """A loaded model bundle with its card."""
+
+    card: str | None = None
+    """The model card, Markdown: intended use, data, limits; null where the bundle has none"""
+
+    @classmethod
+    def of(cls, bundle: Bundle, *, default: bool) -> Self:
+        answer = BundleAnswer.of(bundle, default=default)
+        return cls(**answer.model_dump(), card=bundle.card)
 
 
 class PresetAnswer(Answer):

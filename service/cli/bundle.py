@@ -112,6 +112,7 @@ def _print_one(console: Console, folder: Path, manifest: Manifest, digest: str) 
     line(console, "licences", "bold")
     for licence in manifest.licences:
         line(console, f"  {licence}")
+    _print_card(console, folder)
     return _print_files(console, folder, manifest)
 
 
@@ -125,6 +126,15 @@ def _print_scores(console: Console, scores: Mapping[str, Any]) -> None:
         drawn.add_row(name, *(f"{cell[c]:.3g}" if c in cell else "" for c in columns))
     if cells:
         console.print(drawn)
+
+
+def _print_card(console: Console, folder: Path) -> None:
+    from service.inference.bundle import CARD
+
+    card = folder / CARD
+    if card.is_file():
+        line(console, "card", "bold")
+        line(console, card.read_text(encoding="utf-8", errors="replace").strip())
 
 
 def _print_section(console: Console, title: str, section: Mapping[str, Any]) -> None:

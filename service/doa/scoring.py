@@ -15,6 +15,8 @@ maae : mean absolute angular error of matched pairs.
 f1 : hits within a tolerance against misses and false alarms.
 ospa : one number for position and cardinality errors.
 count_accuracy : share of windows whose number of sources is right.
+evaluate : these and three shares more: of windows whose first estimate is within 10 degrees of a
+    source, of sources that none is within 10 degrees of, of windows without any estimate.
 """
 
 from __future__ import annotations
@@ -130,18 +132,33 @@ def count_accuracy(estimated: Sequence[int], truth: Sequence[int]) -> float:
 
 
 def evaluate(estimated: Sequence[FloatArray], truth: Sequence[FloatArray]) -> dict[str, float]:
-    """All scores over windows; angles in degrees, since this is what tables show."""
+    """All scores over windows; angles in degrees, since this is what tables show.
+
+    A window's first estimate is the one that its method is surest of.
+    """
     pairs = list(zip(estimated, truth, strict=True))
-    voiced = [maae(e, t) for e, t in pairs if len(t)]
-    scores = {
-        "maae_deg": float(np.rad2deg(np.mean(voiced))),
-        "median_error_deg": float(np.rad2deg(np.median(voiced))),
+    sounding = [(e, t) for e, t in pairs if len(t)]
+    errors = [maae(e, t) for e, t in sounding]
+    detections = {tolerance: _total(pairs, tolerance) for tolerance in (5, 10, 20)}
+    talkers = sum(len(t) for _, t in pairs)
+    return {
+        "maae_deg": float(np.rad2deg(np.mean(errors))),
+        "median_error_deg": float(np.rad2deg(np.median(errors))),
         "ospa_deg": float(np.rad2deg(np.mean([ospa(e, t) for e, t in pairs]))),
         "count_accuracy": count_accuracy([len(e) for e, _ in pairs], [len(t) for _, t in pairs]),
+        **{f"f1_{tolerance}deg": total.f1 for tolerance, total in detections.items()},
+        "within_10deg": float(np.mean([_first_within(e, t, 10) for e, t in sounding])),
+        "missed_talkers": detections[10].misses / talkers,
+        "unanswered": float(np.mean([len(e) == 0 for e, _ in sounding])),
     }
-    for tolerance in (5, 10, 20):
-        total = Detection(0, 0, 0)
-        for e, t in pairs:
-            total += detection(e, t, float(np.deg2rad(tolerance)))
-        scores[f"f1_{tolerance}deg"] = total.f1
-    return scores
+
+
+def _total(pairs: Sequence[tuple[FloatArray, FloatArray]], tolerance_deg: float) -> Detection:
+    tolerance = float(np.deg2rad(tolerance_deg))
+    return sum((detection(e, t, tolerance) for e, t in pairs), Detection(0, 0, 0))
+
+
+def _first_within(estimated: FloatArray, truth: FloatArray, tolerance_deg: float) -> bool:
+    if len(estimated) == 0:
+        return False
+    return bool(circular_error(estimated[0], truth).min() <= np.deg2rad(tolerance_deg))

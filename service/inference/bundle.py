@@ -25,6 +25,9 @@ SOURCE_COUNT = "source_count.onnx"
 FUSION = "fusion.npz"
 GOLDEN = "golden.npz"
 FILES = (COVARIANCE, SOURCE_COUNT, FUSION, GOLDEN)
+CARD = "card.md"
+OPTIONAL_FILES = (CARD,)
+"""Nothing that serving needs; verified where the manifest names them"""
 MAX_FILE_BYTES = 256 * 2**20
 
 
@@ -40,6 +43,8 @@ class Bundle:
     source_count: Engine
     fusion: Mapping[str, FloatArray]
     golden: Mapping[str, FloatArray]
+    card: str | None = None
+    """The model card, Markdown"""
 
     @property
     def identity(self) -> ModelIdentity:
@@ -77,7 +82,7 @@ def load_bundle(folder: Path, *, threads: int = 1) -> Bundle:
         If a file is missing, differs from its hash or cannot be read.
     """
     manifest, digest = read_manifest(folder)
-    for name in FILES:
+    for name in (*FILES, *(name for name in OPTIONAL_FILES if name in manifest.files)):
         _verify(folder, name, manifest.files.get(name))
     return Bundle(
         folder=folder,
@@ -87,6 +92,7 @@ def load_bundle(folder: Path, *, threads: int = 1) -> Bundle:
         source_count=_engine(folder, SOURCE_COUNT, manifest, threads),
         fusion=_arrays(folder / FUSION),
         golden=_arrays(folder / GOLDEN),
+        card=_text(folder / CARD) if CARD in manifest.files else None,
     )
 
 
@@ -149,3 +155,10 @@ def _arrays(path: Path) -> dict[str, FloatArray]:
             return {name: archive[name] for name in archive.files}
     except (OSError, ValueError) as error:
         raise BundleCorrupt(f"{path} cannot be read: {error}") from error
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except ValueError as error:
+        raise BundleCorrupt(f"{path} is not text: {error}") from error

@@ -182,6 +182,15 @@ def test_the_models_tell_what_they_are(client: TestClient) -> None:
     assert [model["default"] for model in models] == [n == 0 for n in range(len(models))]
 
 
+def test_a_model_shows_its_card(client: TestClient) -> None:
+    listed = client.get("/models").json()["models"][0]
+    shown = client.get(listed["details"]).json()
+    assert shown.pop("card").startswith("# Model card: `any-array`")
+    assert shown == listed
+    missing = client.get("/models/nobody")
+    assert (missing.status_code, missing.json()["code"]) == (404, "not_found")
+
+
 def test_the_root_says_where_to_go(client: TestClient) -> None:
     root = client.get("/").json()
     assert root["version"] == __version__

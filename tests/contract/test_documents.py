@@ -11,7 +11,7 @@ import pytest
 from model_export.results import BEGIN, END, Results
 from service.doa.diagnostics import FindingCode
 from service.errors import DoaError
-from service.inference.bundle import read_manifest
+from service.inference.bundle import load_bundle, read_manifest
 from service.settings import Settings, variable
 
 ROOT = Path(__file__).parents[2]
@@ -20,6 +20,9 @@ RESULTS = Results.read(ROOT / "docs" / "results.json")
 
 def test_the_result_tables_are_those_of_the_results() -> None:
     assert (ROOT / "docs" / "results.md").read_text() == RESULTS.document()
+
+
+def test_the_table_of_the_readme_is_that_of_the_results() -> None:
     readme = (ROOT / "README.md").read_text()
     assert readme[readme.index(BEGIN) : readme.index(END) + len(END)] == RESULTS.readme_block()
 
@@ -27,6 +30,11 @@ def test_the_result_tables_are_those_of_the_results() -> None:
 def test_the_bundle_carries_the_results() -> None:
     manifest, _ = read_manifest(ROOT / "service" / "models" / "any-array")
     assert manifest.scores == RESULTS.bundle_scores("any-array")
+
+
+def test_the_bundle_carries_its_model_card() -> None:
+    card = (ROOT / "docs" / "models" / "any-array.md").read_text()
+    assert load_bundle(ROOT / "service" / "models" / "any-array").card == card
 
 
 @pytest.mark.parametrize("page", [*sorted((ROOT / "docs").rglob("*.md")), ROOT / "README.md"])

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model_export.arrays import random_array
+from model_export.arrays import TEST_ARRAYS, named_array, random_array
 from model_export.datasets.speech import load, speech_commands
 from model_export.noise import unit_power
 from model_export.rooms import (
@@ -19,6 +19,7 @@ from model_export.rooms import (
     paper_room,
     random_room,
 )
+from model_export.running_speech import running_speech
 from model_export.scenes import (
     WINDOW_SAMPLES,
     RoomBank,
@@ -82,6 +83,46 @@ def test_sources_keep_their_distance_from_each_other(voices) -> None:
         assert np.rad2deg(gaps[np.triu_indices(3, 1)].min()) >= 40
     pair = simulate_scene(Protocol(num_sources=2, separation_deg=30.0), voices, [4, 99])
     assert np.rad2deg(circular_error(*pair.azimuth)) == pytest.approx(30)
+
+
+def test_continuous_talkers_leave_no_pause(voices) -> None:
+    padded = [np.concatenate([np.zeros(6000, np.float32), v[:6000], 1e-4 * v]) for v in voices]
+    dry = running_speech(np.random.default_rng(0), padded[0], 40000)
+    assert dry.shape == (40000,)
+    frames = np.square(dry.reshape(-1, 400)).mean(axis=1)
+    quiet = "".join("x" if frame < 1e-6 else " " for frame in frames).split()
+    assert max(map(len, quiet), default=0) * 400 < 6000  # the clip's own silence is 22000 long
+    protocol = Protocol(snr_db=200.0, continuous=True, num_samples=8000, room=ANECHOIC)
+    powers = []
+    for seed in range(12):
+        scene = simulate_scene(protocol, padded, [6, seed])
+        assert scene.audio.shape == (4, 8000)
+        powers.append(np.var(scene.audio[0]))
+    # A second of speech has unit power; half a second of it may be a little louder or quieter.
+    assert np.mean(powers) == pytest.approx(1, rel=0.3)
+
+
+def test_a_window_in_which_the_talker_pauses_is_not_voiced() -> None:
+    rng = np.random.default_rng(0)
+    word = np.concatenate([rng.standard_normal(8000), np.zeros(40000), rng.standard_normal(8000)])
+    protocol = Protocol(continuous=True, num_samples=8000, room=ANECHOIC)
+    scenes = [simulate_scene(protocol, [word.astype(np.float32)], [7, s]) for s in range(20)]
+    assert {scene.voiced for scene in scenes} == {True, False}
+    for scene in scenes:
+        loud = np.var(scene.audio[0]) > 0.4  # the noise alone has a variance of 0.001
+        assert scene.voiced or not loud
+
+
+def test_the_test_arrays_are_what_they_are_called() -> None:
+    for name, array in TEST_ARRAYS.items():
+        assert named_array(name) is array
+        assert str(array.num_microphones) in name
+        radius = np.linalg.norm(array.positions - array.positions.mean(axis=0), axis=1)
+        if "ring" in name:
+            np.testing.assert_allclose(1000 * radius, float(name.split()[-2]))
+        else:
+            assert np.ptp(radius) > 0.01
+    assert named_array("matrix-voice") is preset("matrix-voice")
 
 
 def test_written_scenes_have_their_truth_beside_them(voices, tmp_path: Path) -> None:

@@ -292,6 +292,9 @@ def test_bundle_show_prints_the_manifest(bundle: Path, capsys: pytest.CaptureFix
     scores = [line.split() for line in out.splitlines()]
     assert ["cell", "median_deg"] in scores
     assert ["M=1", "1.23"] in scores
+    (bundle / "card.md").write_text("# The card [of tests]\n")
+    _, out, _ = run(capsys, "bundle", "show", str(bundle))
+    assert "\ncard\n# The card [of tests]\nfiles\n" in out
 
 
 @pytest.mark.parametrize("content", [b"other", None])

@@ -78,6 +78,20 @@ def test_evaluate_collects_everything() -> None:
     assert scores["ospa_deg"] == pytest.approx((3 + 0 + 15) / 3)
 
 
+def test_shares_of_answers_and_of_talkers() -> None:
+    windows = [
+        (rad(5, 90), rad(0)),  # right, and a false alarm
+        (rad(90, 5), rad(0)),  # the right one is not the one that the method is surest of
+        (rad(), rad(0)),  # unanswered
+        (rad(355, 200), rad(3, 100)),  # one of two talkers is missed
+    ]
+    scores = evaluate([found for found, _ in windows], [truth for _, truth in windows])
+    assert scores["within_10deg"] == pytest.approx(2 / 4)
+    assert scores["missed_talkers"] == pytest.approx(2 / 5)
+    assert scores["unanswered"] == pytest.approx(1 / 4)
+    assert scores["count_accuracy"] == pytest.approx(1 / 4)
+
+
 def test_bad_input_is_refused() -> None:
     with pytest.raises(ValueError, match="finite"):
         maae(np.array([np.nan]), rad(1))

@@ -59,6 +59,14 @@ def test_a_missing_file_is_named(folder: Path, name: str) -> None:
         load_bundle(folder)
 
 
+def test_a_card_is_verified_where_there_is_one(folder: Path) -> None:
+    (folder / "card.md").write_text("another card")
+    with pytest.raises(BundleCorrupt, match=r"card\.md differs from its hash"):
+        load_bundle(folder)
+    edit(folder, lambda fields: fields["files"].pop("card.md"))
+    assert load_bundle(folder).card is None
+
+
 def test_no_bundle(tmp_path: Path) -> None:
     with pytest.raises(BundleNotFound, match=r"bundle\.json"):
         load_bundle(tmp_path)
