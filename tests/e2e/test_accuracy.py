@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,6 +70,6 @@ def test_the_count_is_mostly_right(client, voices) -> None:
         scene = simulate_scene(protocol, voices, [6, index])
         if count == 0:
             noise = np.random.default_rng(index).standard_normal(scene.audio.shape)
-            scene = SimulatedScene(noise.astype(np.float32), scene.array, scene.azimuth[:0], {})
+            scene = replace(scene, audio=noise.astype(np.float32), azimuth=scene.azimuth[:0])
         right += localize(client, scene)["windows"][0]["num_sources"] == count
     assert right >= 0.7 * SCENES
