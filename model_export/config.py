@@ -89,12 +89,33 @@ ANY_ARRAY_FINE = replace(
 )
 """A finer grid and narrower targets, once the network knows where to look"""
 
+ANY_ARRAY_NOISE = replace(
+    ANY_ARRAY_FINE,
+    name="any-array-noise",
+    starts_from="any-array-fine",
+    steps=1500,
+    learning_rate=5e-4,
+    short_windows=0.1,
+    scenes=replace(ANY_ARRAY.scenes, snr_db=(-8.0, 25.0)),
+    seed=3,
+)
+"""More of the noise in which errors are large"""
+
+PAPER_SCENES = SceneConfig(
+    source_counts=(0.05, 0.5, 0.35, 0.10),
+    snr_db=(0.0, 35.0),
+    position_error=0.0,
+    machine=0.0,
+    quantised=0.0,
+)
+"""Milder than the product's: the paper's protocol has sensor noise alone"""
+
 PAPER_SSCL = TrainingConfig(
     name="paper-sscl",
     variant="sscl",
     steps=1250,
     array="respeaker-usb-4mic-v2",
-    scenes=SceneConfig(source_counts=(0.0, 0.6, 0.3, 0.1), snr_db=(0.0, 35.0)),
+    scenes=replace(PAPER_SCENES, source_counts=(0.0, 0.6, 0.3, 0.1)),
     batches_per_chunk=12,
 )
 """The paper's first stage: a masked microphone is reconstructed, no direction is ever told"""
@@ -107,11 +128,14 @@ PAPER = TrainingConfig(
     target_sigma_deg=5.0,
     count_weight=0.5,
     array="respeaker-usb-4mic-v2",
-    scenes=SceneConfig(source_counts=(0.05, 0.5, 0.35, 0.10), snr_db=(0.0, 35.0)),
+    scenes=PAPER_SCENES,
     batches_per_chunk=24,
 )
 
-CONFIGS = {config.name: config for config in (ANY_ARRAY, ANY_ARRAY_FINE, PAPER_SSCL, PAPER)}
+CONFIGS = {
+    config.name: config
+    for config in (ANY_ARRAY, ANY_ARRAY_FINE, ANY_ARRAY_NOISE, PAPER_SSCL, PAPER)
+}
 
 
 def smoke(config: TrainingConfig) -> TrainingConfig:

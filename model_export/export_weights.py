@@ -19,7 +19,7 @@ from model_export.export import (
 )
 from model_export.subspace import delay_products
 from model_export.tasks import STFT, steering_delays
-from model_export.weights import WeightsPipeline
+from model_export.weights import WINDOW_SHARE, WeightsPipeline
 from service.doa.array import MicrophoneArray
 from service.doa.features import NUM_FEATURES, coherence_features
 from service.doa.presets import preset
@@ -104,7 +104,7 @@ def analysis_of(pipeline: WeightsPipeline) -> Analysis:
         grid_size=GRID_SIZE,
         floor=float(pipeline.log_floor.detach().exp()),
         dominance_power=float(pipeline.log_dominance_power.detach().exp()),
-        window_share=float(pipeline.log_window_share.detach().exp()),
+        window_share=WINDOW_SHARE,
     )
 
 
