@@ -34,6 +34,8 @@ from service.inference.bundle import (
     FUSION,
     GOLDEN,
     MANIFEST,
+    OPTIONAL_FILES,
+    PARAMETERS,
     SOURCE_COUNT,
     file_sha256,
     load_bundle,
@@ -129,6 +131,7 @@ def write_bundle(
     covariance: ExportGraph,
     source_count: ExportGraph,
     fusion: Mapping[str, FloatArray],
+    parameters: Mapping[str, FloatArray],
     reference: Sequence[FloatArray],
     windows: FloatArray,
     array: MicrophoneArray,
@@ -139,6 +142,8 @@ def write_bundle(
     ----------
     fields : mapping
         The manifest's descriptive fields.
+    parameters : mapping
+        The training model's tensors (``parameters.parameter_arrays``), which fine-tuning reads.
     reference : sequence of (A,) float32
         The torch pipeline's fused spectra of ``windows``.
     windows : (B, N, T) float32
@@ -156,6 +161,7 @@ def write_bundle(
         "source_count": export_onnx(source_count, folder / SOURCE_COUNT),
     }
     np.savez(folder / FUSION, **fusion)  # type: ignore[arg-type]
+    np.savez(folder / PARAMETERS, **parameters)  # type: ignore[arg-type]
     golden = {"positions": array.positions, "windows": windows[:1], "spectra": np.zeros((1, 1))}
     np.savez_compressed(folder / GOLDEN, **golden)  # type: ignore[arg-type]
     draft = {**fields, **graphs, "parity": {}}
@@ -195,7 +201,8 @@ def update_scores(folder: Path, scores: Mapping[str, Any]) -> None:
 
 
 def _write_manifest(folder: Path, fields: Mapping[str, Any]) -> Manifest:
-    hashes = {name: file_sha256(folder / name) for name in FILES}
+    optional = [name for name in OPTIONAL_FILES if (folder / name).is_file()]
+    hashes = {name: file_sha256(folder / name) for name in (*FILES, *optional)}
     manifest = Manifest.model_validate({**fields, "files": hashes})
     text = json.dumps(manifest.model_dump(), indent=2)
     (folder / MANIFEST).write_text(text + "\n")

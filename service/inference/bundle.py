@@ -25,6 +25,9 @@ SOURCE_COUNT = "source_count.onnx"
 FUSION = "fusion.npz"
 GOLDEN = "golden.npz"
 FILES = (COVARIANCE, SOURCE_COUNT, FUSION, GOLDEN)
+PARAMETERS = "parameters.npz"
+OPTIONAL_FILES = (PARAMETERS,)
+"""Nothing that serving needs; verified where the manifest names them"""
 MAX_FILE_BYTES = 256 * 2**20
 
 
@@ -77,7 +80,7 @@ def load_bundle(folder: Path, *, threads: int = 1) -> Bundle:
         If a file is missing, differs from its hash or cannot be read.
     """
     manifest, digest = read_manifest(folder)
-    for name in FILES:
+    for name in (*FILES, *(name for name in OPTIONAL_FILES if name in manifest.files)):
         _verify(folder, name, manifest.files.get(name))
     return Bundle(
         folder=folder,
@@ -85,8 +88,8 @@ def load_bundle(folder: Path, *, threads: int = 1) -> Bundle:
         sha256=digest,
         covariance=_engine(folder, COVARIANCE, manifest, threads),
         source_count=_engine(folder, SOURCE_COUNT, manifest, threads),
-        fusion=_arrays(folder / FUSION),
-        golden=_arrays(folder / GOLDEN),
+        fusion=read_arrays(folder / FUSION),
+        golden=read_arrays(folder / GOLDEN),
     )
 
 
@@ -143,7 +146,8 @@ def _engine(folder: Path, name: str, manifest: Manifest, threads: int) -> Engine
     return engine
 
 
-def _arrays(path: Path) -> dict[str, FloatArray]:
+def read_arrays(path: Path) -> dict[str, FloatArray]:
+    """The arrays of one of a bundle's npz files by their names, or BundleCorrupt; no pickle."""
     try:
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
