@@ -20,10 +20,9 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
-
-from service.doa.types import FloatArray
 
 LABELS = "labels.csv"
 COLUMNS = ("file", "azimuth_deg", "start_s", "end_s")
@@ -102,7 +101,7 @@ def segments(talkers: Sequence[Talker], duration: float) -> list[Segment]:
             )
     edges = sorted({min(t, duration) for talker in talkers for t in (talker.start, talker.end)})
     found = []
-    for start, end in zip(edges, edges[1:], strict=False):
+    for start, end in pairwise(edges):
         active = tuple(t.azimuth for t in talkers if t.start <= start and t.end >= end)
         if active:
             found.append(Segment(start, end, active))

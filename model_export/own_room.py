@@ -71,9 +71,7 @@ class _Hearing:
         self.room, self.snr_db = room, snr_db
         (self.fan,) = impulse_responses(room, self.positions, FAN[None])
 
-    def record(
-        self, rng: np.random.Generator, source: FloatArray, voice: FloatArray
-    ) -> FloatArray:
+    def record(self, rng: np.random.Generator, source: FloatArray, voice: FloatArray) -> FloatArray:
         """(N, T) float32 of a voice (T,) from a source (3,), peak at half of full scale."""
         (response,) = impulse_responses(self.room, self.positions, source[None])
         audio = unit_power(convolve(voice, response)[:, : len(voice)])

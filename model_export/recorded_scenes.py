@@ -7,7 +7,7 @@ talkers at once, so that recordings of single talkers teach separating them as w
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,7 +39,7 @@ class RecordedScenes:
         self.recordings = recordings
         self.positions = array.positions
         self._noisy = [r for r in recordings if len(r.quiet) >= MIN_GRAINS]
-        self._single = [r for r in recordings if any(len(w.azimuth) == 1 for w in r.windows)]
+        self._single = [(r, w) for r in recordings for w in r.windows if len(w.azimuth) == 1]
 
     def draw(
         self, rng: np.random.Generator, augmentation: Augmentation, config: SceneConfig
@@ -48,14 +48,12 @@ class RecordedScenes:
         recording = self.recordings[int(rng.integers(len(self.recordings)))]
         windows = recording.windows[int(rng.integers(len(recording.windows)))]
         audio = _cut(recording, windows, _random_start(rng, windows))
-        azimuth = windows.azimuth
-        if len(azimuth) == 1 and rng.random() < augmentation.mixtures:
-            audio, azimuth = self._mixed(rng, audio, azimuth, config)
-        snr_db = float("inf")
+        scene = Scene(audio, self.positions, windows.azimuth, float("inf"))
+        if rng.random() < augmentation.mixtures:
+            scene = self.mix(rng, scene, config)
         if rng.random() < augmentation.noise:
-            snr_db = float(rng.uniform(*augmentation.snr_db))
-            audio = self.with_noise(rng, audio, snr_db)
-        return Scene(audio, self.positions, azimuth, snr_db)
+            scene = self.with_noise(rng, scene, float(rng.uniform(*augmentation.snr_db)))
+        return scene
 
     def windows(self, most_per_recording: int) -> list[Scene]:
         """Windows as recorded, evenly over every recording's labelled sound."""
@@ -69,31 +67,27 @@ class RecordedScenes:
                 scenes.append(Scene(audio, self.positions, windows.azimuth, float("inf")))
         return scenes
 
-    def with_noise(self, rng: np.random.Generator, audio: FloatArray, snr_db: float) -> FloatArray:
-        """Add sensor noise and, where recordings have pauses, the room's own noise."""
+    def mix(self, rng: np.random.Generator, scene: Scene, config: SceneConfig) -> Scene:
+        """The scene with another recording's talker; unchanged where the two are too close."""
+        if len(scene.azimuth) != 1 or not self._single:
+            return scene
+        other, windows = self._single[int(rng.integers(len(self._single)))]
+        if float(circular_error(windows.azimuth[0], scene.azimuth[0])) < config.min_separation:
+            return scene
+        added = unit_power(_cut(other, windows, _random_start(rng, windows)))
+        level = np.float32(10 ** (rng.uniform(-1, 1) * config.level_difference_db / 20))
+        azimuth = np.concatenate([scene.azimuth, windows.azimuth])
+        return replace(scene, audio=unit_power(scene.audio) + level * added, azimuth=azimuth)
+
+    def with_noise(self, rng: np.random.Generator, scene: Scene, snr_db: float) -> Scene:
+        """The scene with sensor noise and, where recordings have pauses, the room's own noise."""
+        audio = scene.audio
         noise = rng.standard_normal(audio.shape, dtype=np.float32) * np.float32(rng.uniform(0.1, 1))
         if self._noisy:
             recording = self._noisy[int(rng.integers(len(self._noisy)))]
             noise += unit_power(room_noise(rng, recording, audio.shape[1]))
-        gain = np.sqrt(np.mean(audio[0].astype(np.float64) ** 2)) * 10 ** (-snr_db / 20)
-        return audio + np.float32(gain) * unit_power(noise)
-
-    def _mixed(
-        self,
-        rng: np.random.Generator,
-        audio: FloatArray,
-        azimuth: FloatArray,
-        config: SceneConfig,
-    ) -> tuple[FloatArray, FloatArray]:
-        """The window plus another recording's talker, far enough away; else the window alone."""
-        other = self._single[int(rng.integers(len(self._single)))]
-        windows = next(w for w in other.windows if len(w.azimuth) == 1)
-        if float(circular_error(windows.azimuth[0], azimuth[0])) < config.min_separation:
-            return audio, azimuth
-        added = _cut(other, windows, _random_start(rng, windows))
-        level = 10 ** (rng.uniform(-1, 1) * config.level_difference_db / 20)
-        mixed = unit_power(audio) + np.float32(level) * unit_power(added)
-        return mixed, np.concatenate([azimuth, windows.azimuth])
+        noise = unit_power(noise) * np.float32(10 ** (-snr_db / 20))
+        return replace(scene, audio=unit_power(audio) + noise, snr_db=snr_db)
 
 
 def room_noise(

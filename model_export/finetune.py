@@ -1,0 +1,242 @@
+"""Fine-tuning of a bundle on labelled recordings of one room and one array.
+
+A `weights` bundle is trained as a whole, a `regression` bundle in its encoder and its covariance
+regressor only (Yang et al. freeze the rest as well); BatchNorm's statistics and the source count
+stay as they are, recordings being far too few to estimate them. What the service answers to
+held-out directions, before and after, decides whether there is a new bundle.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich.progress import track
+from torch import nn
+
+from model_export.export import digest
+from model_export.export_regression import export_regression
+from model_export.export_weights import export_weights
+from model_export.heldout import (
+    AS_RECORDED,
+    WINDOWS_PER_RECORDING,
+    Scores,
+    hold_out,
+    score,
+    score_rows,
+)
+from model_export.parameters import TrainedModel, trained_model
+from model_export.recorded_scenes import Augmentation, RecordedScenes
+from model_export.recordings import LabelledRecording
+from model_export.regression import RegressionTask
+from model_export.tasks import STFT, Batch, Task, WeightsTask
+from service.doa.array import MicrophoneArray
+from service.inference.bundle import Bundle, load_bundle
+from service.inference.manifest import NAME_PATTERN, Manifest
+
+
+@dataclass(frozen=True, slots=True)
+class FineTuning:
+    """How a bundle is fine-tuned."""
+
+    steps: int = 300
+    batch_size: int = 16
+    """Scenes per step"""
+    learning_rate: float = 2e-4
+    """At the start; it falls to zero along a cosine"""
+    validation_share: float = 0.2
+    """Share of the directions that are held out"""
+    simulated: float = 0.25
+    """Share of the steps on simulated rooms, where there are any"""
+    augmentation: Augmentation = field(default_factory=Augmentation)
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if self.steps < 1 or self.batch_size < 1:
+            raise ValueError("steps and batch_size must be positive")
+        if not 0 < self.validation_share <= 0.5:
+            raise ValueError("the validation share must be above 0 and at most 0.5")
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What fine-tuning gave."""
+
+    before: Scores
+    after: Scores
+
+    @property
+    def better(self) -> bool:
+        """True where the held-out windows as recorded have a smaller error than before."""
+        return self.after[AS_RECORDED]["maae_deg"] < self.before[AS_RECORDED]["maae_deg"]
+
+
+def finetune(
+    bundle: Bundle,
+    recordings: Sequence[LabelledRecording],
+    array: MicrophoneArray,
+    out: Path,
+    settings: FineTuning,
+    *,
+    name: str | None = None,
+    simulated: Iterator[Batch] | None = None,
+    test: Sequence[LabelledRecording] = (),
+) -> Outcome:
+    """Fine-tune a bundle and write the result to ``out``, whatever it scores.
+
+    Parameters
+    ----------
+    name : str, optional
+        Of the new bundle; by default the old one's with ``-finetuned``.
+    simulated : iterator of batches, optional
+        Of simulated scenes, against forgetting all other rooms (``train.SceneStream``).
+    test : sequence of LabelledRecording
+        Further recordings that only score.
+
+    Raises
+    ------
+    ValueError
+        If the bundle cannot be fine-tuned, the name is none for a bundle, or the recordings are
+        of too few directions.
+    """
+    name = name or f"{bundle.manifest.name.removesuffix('-finetuned')}-finetuned"
+    if not re.fullmatch(NAME_PATTERN, name):
+        raise ValueError(f"{name!r} is no name for a bundle: use a-z, 0-9, '.', '_' and '-'")
+    if not bundle.fits(array):
+        raise ValueError(f"the bundle {bundle.manifest.name} is bound to another array")
+    model = trained_model(bundle)
+    tuned, held_out = hold_out(recordings, settings.validation_share)
+    rows = score_rows(RecordedScenes(held_out, array), settings.seed)
+    if test:
+        rows["test recordings"] = RecordedScenes(test, array).windows(WINDOWS_PER_RECORDING)
+    before = score(bundle, array, rows)
+    train(model, RecordedScenes(tuned, array), settings, simulated)
+    record = _record(bundle.manifest, tuned, array, settings, simulated is not None)
+    _export(model, out, _fields(bundle.manifest, model, name, record))
+    return Outcome(before, score(load_bundle(out), array, rows))
+
+
+def train(
+    model: TrainedModel,
+    scenes: RecordedScenes,
+    settings: FineTuning,
+    simulated: Iterator[Batch] | None = None,
+) -> list[float]:
+    """Train the model in place; the same settings and scenes give the same model.
+
+    Returns
+    -------
+    losses : list of float
+        Of every step on recordings.
+    """
+    torch.manual_seed(settings.seed)
+    rng = np.random.default_rng([settings.seed, 0])
+    task = model.task
+    parameters = trained_parameters(task)
+    optimizer = torch.optim.AdamW(parameters, lr=settings.learning_rate)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, settings.steps)
+    losses = []
+    with frozen_statistics(task.model):
+        for _ in track(range(settings.steps), description="fine-tuning"):
+            recorded = rng.random() >= settings.simulated
+            if simulated is None or recorded:
+                batch = _batch(rng, model, scenes, settings)
+            else:
+                batch = next(simulated)
+            loss = task.losses(batch)["loss"]
+            optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(parameters, 1.0)
+            optimizer.step()
+            schedule.step()
+            losses.append(float(loss.detach()))
+    return losses
+
+
+def trained_parameters(task: Task) -> list[nn.Parameter]:
+    """What fine-tuning changes; everything else no longer asks for gradients."""
+    task.model.requires_grad_(False)
+    part = task.model.covariance if isinstance(task, RegressionTask) else task.model
+    part.requires_grad_(True)
+    return list(part.parameters())
+
+
+@contextmanager
+def frozen_statistics(model: nn.Module) -> Iterator[None]:
+    """Training mode in all but BatchNorm, which keeps its statistics; evaluation mode after it."""
+    model.train()
+    for module in model.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            module.eval()
+    yield
+    model.eval()
+
+
+def _batch(
+    rng: np.random.Generator, model: TrainedModel, scenes: RecordedScenes, settings: FineTuning
+) -> Batch:
+    drawn = [
+        scenes.draw(rng, settings.augmentation, model.config.scenes)
+        for _ in range(settings.batch_size)
+    ]
+    return model.task.collate(rng, drawn)
+
+
+def _record(
+    start: Manifest,
+    recordings: Sequence[LabelledRecording],
+    array: MicrophoneArray,
+    settings: FineTuning,
+    simulated: bool,
+) -> dict[str, Any]:
+    """The manifest's ``training["fine_tuning"]``; earlier ones stay inside of it."""
+    samples = sum(recording.audio.shape[1] for recording in recordings)
+    record: dict[str, Any] = {
+        "from": {
+            "name": start.name,
+            "version": start.version,
+            "parameters": start.training["parameters"],
+        },
+        "recordings": len(recordings),
+        "seconds": round(samples / STFT.sample_rate, 1),
+        "directions": len({recording.direction for recording in recordings}),
+        "array": {"name": array.name, "positions_m": array.positions.tolist()},
+        "simulated_scenes_too": simulated,
+        "settings": asdict(settings),
+    }
+    earlier = start.training.get("fine_tuning")
+    return {**record, "earlier": earlier} if earlier else record
+
+
+def _fields(
+    start: Manifest, model: TrainedModel, name: str, record: dict[str, Any]
+) -> dict[str, Any]:
+    """The new manifest's descriptive fields; the scores were the old parameters'."""
+    training = {
+        **start.training,
+        "parameters": digest(model.task.model.state_dict()),
+        "fine_tuning": record,
+    }
+    return {
+        "name": name,
+        "version": start.version,
+        "description": f"{start.name} {start.version}, fine-tuned on {record['recordings']} "
+        f"recordings of {record['array']['name']}.",
+        "training": training,
+        "scores": {},
+        "licences": [*start.licences, "the user's own recordings"],
+    }
+
+
+def _export(model: TrainedModel, out: Path, fields: dict[str, Any]) -> Manifest:
+    if isinstance(model.task, RegressionTask):
+        return export_regression(model.task, out, fields)
+    assert isinstance(model.task, WeightsTask)
+    assert model.source_count is not None
+    return export_weights(model.task.model, model.source_count, out, fields)
