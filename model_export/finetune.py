@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,8 +35,11 @@ from model_export.parameters import TrainedModel, trained_model
 from model_export.recorded_scenes import Augmentation, RecordedScenes
 from model_export.recordings import LabelledRecording
 from model_export.regression import RegressionTask
+from model_export.scenes import RoomBank
 from model_export.tasks import STFT, Batch, Task, WeightsTask
+from model_export.train import SceneStream
 from service.doa.array import MicrophoneArray
+from service.doa.types import FloatArray
 from service.inference.bundle import Bundle, load_bundle
 from service.inference.manifest import NAME_PATTERN, Manifest
 
@@ -85,7 +88,8 @@ def finetune(
     settings: FineTuning,
     *,
     name: str | None = None,
-    simulated: Iterator[Batch] | None = None,
+    bank: RoomBank | None = None,
+    speech: Sequence[FloatArray] = (),
     test: Sequence[LabelledRecording] = (),
 ) -> Outcome:
     """Fine-tune a bundle and write the result to ``out``, whatever it scores.
@@ -94,8 +98,8 @@ def finetune(
     ----------
     name : str, optional
         Of the new bundle; by default the old one's with ``-finetuned``.
-    simulated : iterator of batches, optional
-        Of simulated scenes, against forgetting all other rooms (``train.SceneStream``).
+    bank : RoomBank, optional
+        Of simulated rooms with ``speech`` in them, against forgetting all rooms but one.
     test : sequence of LabelledRecording
         Further recordings that only score.
 
@@ -116,8 +120,11 @@ def finetune(
     if test:
         rows["test recordings"] = RecordedScenes(test, array).windows(WINDOWS_PER_RECORDING)
     before = score(bundle, array, rows)
+    simulated = None
+    if bank is not None:
+        simulated = iter(SceneStream(replace(model.config, seed=settings.seed), bank, speech))
     train(model, RecordedScenes(tuned, array), settings, simulated)
-    record = _record(bundle.manifest, tuned, array, settings, simulated is not None)
+    record = _record(bundle.manifest, tuned, array, settings, bank is not None)
     _export(model, out, _fields(bundle.manifest, model, name, record))
     return Outcome(before, score(load_bundle(out), array, rows))
 
@@ -136,7 +143,7 @@ def train(
         Of every step on recordings.
     """
     torch.manual_seed(settings.seed)
-    rng = np.random.default_rng([settings.seed, 0])
+    rng = np.random.default_rng([settings.seed, 2])
     task = model.task
     parameters = trained_parameters(task)
     optimizer = torch.optim.AdamW(parameters, lr=settings.learning_rate)
@@ -174,8 +181,10 @@ def frozen_statistics(model: nn.Module) -> Iterator[None]:
     for module in model.modules():
         if isinstance(module, nn.BatchNorm2d):
             module.eval()
-    yield
-    model.eval()
+    try:
+        yield
+    finally:
+        model.eval()
 
 
 def _batch(

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Sequence
 from pathlib import Path
 
 from model_export.finetune import FineTuning, Outcome, finetune
 from model_export.recordings import LabelledRecording, load_recordings
-from model_export.tasks import Batch
+from model_export.scenes import RoomBank
 from service.cli.terminal import line, output, table
 from service.doa.array import MicrophoneArray
+from service.doa.types import FloatArray
 from service.inference.bundle import load_bundle
 
 COLUMNS = {
@@ -30,11 +31,19 @@ def finetune_run(
     *,
     name: str | None = None,
     channel_map: str | None = None,
-    simulated: Iterator[Batch] | None = None,
+    rooms: Path | None = None,
+    speech: Sequence[FloatArray] = (),
     test: Path | None = None,
     force: bool = False,
 ) -> None:
     """Fine-tune the bundle of a folder, print the table, keep the result where it is better.
+
+    Parameters
+    ----------
+    rooms : Path, optional
+        Room bank out of which simulated scenes with ``speech`` are mixed in.
+    test : Path, optional
+        Folder of further labelled recordings, which only score.
 
     Raises
     ------
@@ -56,7 +65,15 @@ def finetune_run(
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=".finetune-") as folder:
         unfinished = Path(folder) / "bundle"
         outcome = finetune(
-            start, labelled, array, unfinished, settings, name=name, simulated=simulated, test=tests
+            start,
+            labelled,
+            array,
+            unfinished,
+            settings,
+            name=name,
+            bank=RoomBank(rooms) if rooms else None,
+            speech=speech,
+            test=tests,
         )
         _print(labelled, outcome)
         if not outcome.better and not force:
