@@ -1,13 +1,15 @@
 """Fine-tuning of a bundle on labelled recordings of one room and one array.
 
-A `weights` bundle is trained as a whole, a `regression` bundle in its encoder and its covariance
-regressor only (Yang et al. freeze the rest as well); BatchNorm's statistics and the source count
-stay as they are, recordings being far too few to estimate them. What the service answers to
-held-out directions, before and after, decides whether there is a new bundle.
+A `weights` bundle is trained as a whole, together with the positions of the microphones; a
+`regression` bundle in its encoder and its covariance regressor only (Yang et al. freeze the rest as
+well). BatchNorm's statistics and the source count stay as they are, recordings being far too few to
+estimate them. What the service answers to held-out directions, before and after, decides whether
+there is a new bundle.
 """
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -20,9 +22,8 @@ import torch
 from rich.progress import track
 from torch import nn
 
-from model_export.export import digest
-from model_export.export_regression import export_regression
-from model_export.export_weights import export_weights
+from model_export.calibration import ArrayCalibration
+from model_export.export_finetuned import export_finetuned, fine_tuning_record
 from model_export.heldout import (
     AS_RECORDED,
     WINDOWS_PER_RECORDING,
@@ -36,12 +37,15 @@ from model_export.recorded_scenes import Augmentation, RecordedScenes
 from model_export.recordings import LabelledRecording
 from model_export.regression import RegressionTask
 from model_export.scenes import RoomBank
-from model_export.tasks import STFT, Batch, Task, WeightsTask
+from model_export.tasks import Batch, Task
 from model_export.train import SceneStream
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 from service.inference.bundle import Bundle, load_bundle
-from service.inference.manifest import NAME_PATTERN, Manifest
+from service.inference.manifest import NAME_PATTERN
+
+ARRAY = "array.json"
+"""The calibrated array beside a bundle's files, as ``--array @FILE`` and requests take it"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +57,8 @@ class FineTuning:
     """Scenes per step"""
     learning_rate: float = 2e-4
     """At the start; it falls to zero along a cosine"""
+    calibration_rate: float = 2e-4
+    """The same for the microphones' positions: metres per step, about"""
     validation_share: float = 0.2
     """Share of the directions that are held out"""
     simulated: float = 0.25
@@ -71,6 +77,8 @@ class FineTuning:
 class Outcome:
     """What fine-tuning gave."""
 
+    array: MicrophoneArray
+    """Calibrated, where the variant works on any array"""
     before: Scores
     after: Scores
 
@@ -93,6 +101,8 @@ def finetune(
     test: Sequence[LabelledRecording] = (),
 ) -> Outcome:
     """Fine-tune a bundle and write the result to ``out``, whatever it scores.
+
+    A `weights` bundle comes with the calibrated array, ``array.json``, which it is scored with.
 
     Parameters
     ----------
@@ -123,47 +133,60 @@ def finetune(
     simulated = None
     if bank is not None:
         simulated = iter(SceneStream(replace(model.config, seed=settings.seed), bank, speech))
-    train(model, RecordedScenes(tuned, array), settings, simulated)
-    record = _record(bundle.manifest, tuned, array, settings, bank is not None)
-    _export(model, out, _fields(bundle.manifest, model, name, record))
-    return Outcome(before, score(load_bundle(out), array, rows))
+    _, calibrated = train(model, RecordedScenes(tuned, array), array, settings, simulated)
+    record = fine_tuning_record(tuned, calibrated, asdict(settings), simulated=bank is not None)
+    export_finetuned(model, bundle.manifest, out, name, record)
+    if calibrated is not array:
+        described = {"name": calibrated.name, "positions_m": calibrated.positions.tolist()}
+        (out / ARRAY).write_text(json.dumps(described, indent=2) + "\n")
+    return Outcome(calibrated, before, score(load_bundle(out), calibrated, rows))
 
 
 def train(
     model: TrainedModel,
     scenes: RecordedScenes,
+    array: MicrophoneArray,
     settings: FineTuning,
     simulated: Iterator[Batch] | None = None,
-) -> list[float]:
+) -> tuple[list[float], MicrophoneArray]:
     """Train the model in place; the same settings and scenes give the same model.
 
     Returns
     -------
     losses : list of float
-        Of every step on recordings.
+        Of every step.
+    array : MicrophoneArray
+        Calibrated; the one given for the `regression` variant, whose network learns it.
     """
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng([settings.seed, 2])
-    task = model.task
-    parameters = trained_parameters(task)
-    optimizer = torch.optim.AdamW(parameters, lr=settings.learning_rate)
+    parameters = trained_parameters(model.task)
+    groups: list[dict[str, Any]] = [{"params": parameters, "lr": settings.learning_rate}]
+    calibration = ArrayCalibration(array) if model.config.variant == "weights" else None
+    if calibration is not None:
+        rate = settings.calibration_rate
+        groups.append({"params": [calibration.offsets], "lr": rate, "weight_decay": 0.0})
+    optimizer = torch.optim.AdamW(groups)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, settings.steps)
     losses = []
-    with frozen_statistics(task.model):
+    with frozen_statistics(model.task.model):
         for _ in track(range(settings.steps), description="fine-tuning"):
             recorded = rng.random() >= settings.simulated
             if simulated is None or recorded:
                 batch = _batch(rng, model, scenes, settings)
+                if calibration is not None:
+                    delays = calibration.delays(batch["grid"])
+                    batch["delays"] = delays.expand(settings.batch_size, -1, -1)
             else:
                 batch = next(simulated)
-            loss = task.losses(batch)["loss"]
+            loss = model.task.losses(batch)["loss"]
             optimizer.zero_grad(set_to_none=True)
             loss.backward()
             torch.nn.utils.clip_grad_norm_(parameters, 1.0)
             optimizer.step()
             schedule.step()
             losses.append(float(loss.detach()))
-    return losses
+    return losses, array if calibration is None else calibration.array()
 
 
 def trained_parameters(task: Task) -> list[nn.Parameter]:
@@ -195,57 +218,3 @@ def _batch(
         for _ in range(settings.batch_size)
     ]
     return model.task.collate(rng, drawn)
-
-
-def _record(
-    start: Manifest,
-    recordings: Sequence[LabelledRecording],
-    array: MicrophoneArray,
-    settings: FineTuning,
-    simulated: bool,
-) -> dict[str, Any]:
-    """The manifest's ``training["fine_tuning"]``; earlier ones stay inside of it."""
-    samples = sum(recording.audio.shape[1] for recording in recordings)
-    record: dict[str, Any] = {
-        "from": {
-            "name": start.name,
-            "version": start.version,
-            "parameters": start.training["parameters"],
-        },
-        "recordings": len(recordings),
-        "seconds": round(samples / STFT.sample_rate, 1),
-        "directions": len({recording.direction for recording in recordings}),
-        "array": {"name": array.name, "positions_m": array.positions.tolist()},
-        "simulated_scenes_too": simulated,
-        "settings": asdict(settings),
-    }
-    earlier = start.training.get("fine_tuning")
-    return {**record, "earlier": earlier} if earlier else record
-
-
-def _fields(
-    start: Manifest, model: TrainedModel, name: str, record: dict[str, Any]
-) -> dict[str, Any]:
-    """The new manifest's descriptive fields; the scores were the old parameters'."""
-    training = {
-        **start.training,
-        "parameters": digest(model.task.model.state_dict()),
-        "fine_tuning": record,
-    }
-    return {
-        "name": name,
-        "version": start.version,
-        "description": f"{start.name} {start.version}, fine-tuned on {record['recordings']} "
-        f"recordings of {record['array']['name']}.",
-        "training": training,
-        "scores": {},
-        "licences": [*start.licences, "the user's own recordings"],
-    }
-
-
-def _export(model: TrainedModel, out: Path, fields: dict[str, Any]) -> Manifest:
-    if isinstance(model.task, RegressionTask):
-        return export_regression(model.task, out, fields)
-    assert isinstance(model.task, WeightsTask)
-    assert model.source_count is not None
-    return export_weights(model.task.model, model.source_count, out, fields)

@@ -6,7 +6,9 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from model_export.finetune import FineTuning, Outcome, finetune
+import numpy as np
+
+from model_export.finetune import ARRAY, FineTuning, Outcome, finetune
 from model_export.recordings import LabelledRecording, load_recordings
 from model_export.scenes import RoomBank
 from service.cli.terminal import line, output, table
@@ -83,6 +85,8 @@ def finetune_run(
             )
         unfinished.rename(out)
     line(console, f"wrote {out}", "bold")
+    if (out / ARRAY).exists():
+        line(console, _moved(array, outcome.array, out / ARRAY))
 
 
 def _print(recordings: list[LabelledRecording], outcome: Outcome) -> None:
@@ -96,6 +100,14 @@ def _print(recordings: list[LabelledRecording], outcome: Outcome) -> None:
         pairs = (_pair(score, before[score], after[score]) for score in COLUMNS)
         drawn.add_row(row, f"{after['windows']:.0f}", *pairs)
     console.print(drawn)
+
+
+def _moved(nominal: MicrophoneArray, calibrated: MicrophoneArray, path: Path) -> str:
+    moved = np.linalg.norm(calibrated.positions - nominal.positions, axis=-1)
+    return (
+        f"the microphones were found up to {1000 * moved.max():.1f} mm from where {nominal.name} "
+        f"has them: localize with --array @{path} from now on"
+    )
 
 
 def _pair(score: str, before: float, after: float) -> str:
