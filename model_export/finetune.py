@@ -52,10 +52,10 @@ ARRAY = "array.json"
 class FineTuning:
     """How a bundle is fine-tuned."""
 
-    steps: int = 300
+    steps: int = 200
     batch_size: int = 16
     """Scenes per step"""
-    learning_rate: float = 2e-4
+    learning_rate: float = 1e-4
     """At the start; it falls to zero along a cosine"""
     calibration_rate: float = 2e-4
     """The same for the microphones' positions: metres per step, about"""
