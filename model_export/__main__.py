@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -16,6 +16,7 @@ from model_export.datasets.speech import Split, librispeech, load, speech_comman
 from model_export.streams import SceneSource
 from service.doa.presets import PRESETS, preset
 from service.doa.types import FloatArray
+from service.errors import DoaError
 
 if TYPE_CHECKING:
     from model_export.results import Results
@@ -33,7 +34,7 @@ def main(argv: list[str] | None = None) -> int:
     torch.set_num_threads(arguments.threads)
     try:
         arguments.run_command(arguments)
-    except (FileNotFoundError, ValueError) as error:
+    except (FileNotFoundError, ValueError, DoaError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0
@@ -105,10 +106,42 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument("--speech-commands", type=Path, help="default: synthetic voices")
     simulate.set_defaults(run_command=_simulate)
 
+    _add_finetune(commands)
+    _add_own_room(commands)
+
     sample = commands.add_parser("sample", help="write the sample recording of the README")
     sample.add_argument("--out", type=Path, required=True)
     sample.set_defaults(run_command=_sample)
     return parser
+
+
+def _add_finetune(commands: Any) -> None:
+    tune = commands.add_parser("finetune", help="fine-tune a bundle on labelled recordings")
+    tune.add_argument("--bundle", type=Path, required=True, help="folder of the bundle")
+    tune.add_argument("--recordings", type=Path, required=True, help="folder with labels.csv")
+    tune.add_argument("--array", required=True, metavar="NAME|JSON|@FILE", help="their array")
+    tune.add_argument("--channel-map", metavar="0,1,...", help="their channel of every microphone")
+    tune.add_argument("--test", type=Path, help="folder of further recordings that only score")
+    tune.add_argument("--out", type=Path, required=True, help="folder of the new bundle")
+    tune.add_argument("--name", help="the new bundle's name (default: the old one's -finetuned)")
+    tune.add_argument("--steps", type=int, default=200)
+    tune.add_argument("--learning-rate", type=float, default=1e-4)
+    tune.add_argument("--validation-share", type=float, default=0.2, help="of the directions")
+    tune.add_argument("--seed", type=int, default=1)
+    tune.add_argument("--force", action="store_true", help="write a bundle that is no better, too")
+    tune.add_argument("--rooms", type=Path, help="room bank, to mix simulated scenes in")
+    tune.add_argument("--speech-commands", type=Path, help="corpus folder for these scenes")
+    tune.set_defaults(run_command=_finetune, librispeech=None)
+
+
+def _add_own_room(commands: Any) -> None:
+    own = commands.add_parser("own-room", help="simulate recordings to try fine-tuning on")
+    own.add_argument("--out", type=Path, required=True, help="folder of recordings/ and test/")
+    own.add_argument("--array", choices=sorted(PRESETS), default="respeaker-usb-4mic-v2")
+    own.add_argument("--directions", type=int, default=36)
+    own.add_argument("--seed", type=int, default=1)
+    own.add_argument("--speech-commands", type=Path, required=True, help="corpus folder")
+    own.set_defaults(run_command=_own_room, librispeech=None)
 
 
 def _add_speech(parser: argparse.ArgumentParser, *, required: bool) -> None:
@@ -273,6 +306,46 @@ def _simulate(arguments: argparse.Namespace) -> None:
         snr_db=arguments.snr_db,
     )
     write_scenes(arguments.out, protocol, speech, arguments.count, arguments.seed)
+
+
+def _finetune(arguments: argparse.Namespace) -> None:
+    from model_export.finetune import FineTuning
+    from model_export.finetune_run import finetune_run
+    from service.cli.inputs import read_array
+
+    if (arguments.rooms is None) != (arguments.speech_commands is None):
+        raise ValueError("simulated scenes take both --rooms and --speech-commands")
+    finetune_run(
+        arguments.bundle,
+        arguments.recordings,
+        read_array(arguments.array),
+        arguments.out,
+        FineTuning(
+            steps=arguments.steps,
+            learning_rate=arguments.learning_rate,
+            validation_share=arguments.validation_share,
+            seed=arguments.seed,
+        ),
+        name=arguments.name,
+        channel_map=arguments.channel_map,
+        rooms=arguments.rooms,
+        speech=_speech(arguments, "train") if arguments.rooms else (),
+        test=arguments.test,
+        force=arguments.force,
+    )
+
+
+def _own_room(arguments: argparse.Namespace) -> None:
+    from model_export.own_room import write_own_room
+
+    write_own_room(
+        arguments.out,
+        preset(arguments.array),
+        _speech(arguments, "train"),
+        _speech(arguments, "development"),
+        directions=arguments.directions,
+        seed=arguments.seed,
+    )
 
 
 def _sample(arguments: argparse.Namespace) -> None:

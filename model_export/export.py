@@ -37,6 +37,7 @@ from service.inference.bundle import (
     GOLDEN,
     MANIFEST,
     OPTIONAL_FILES,
+    PARAMETERS,
     SOURCE_COUNT,
     file_sha256,
     load_bundle,
@@ -134,6 +135,7 @@ def write_bundle(
     covariance: ExportGraph,
     source_count: ExportGraph,
     fusion: Mapping[str, FloatArray],
+    parameters: Mapping[str, FloatArray],
     reference: Sequence[FloatArray],
     windows: FloatArray,
     array: MicrophoneArray,
@@ -144,6 +146,8 @@ def write_bundle(
     ----------
     fields : mapping
         The manifest's descriptive fields.
+    parameters : mapping
+        The training model's tensors (``parameters.parameter_arrays``), which fine-tuning reads.
     reference : sequence of (A,) float32
         The torch pipeline's fused spectra of ``windows``.
     windows : (B, N, T) float32
@@ -161,6 +165,7 @@ def write_bundle(
         "source_count": export_onnx(source_count, folder / SOURCE_COUNT),
     }
     np.savez(folder / FUSION, **fusion)  # type: ignore[arg-type]
+    np.savez(folder / PARAMETERS, **parameters)  # type: ignore[arg-type]
     golden = {"positions": array.positions, "windows": windows[:1], "spectra": np.zeros((1, 1))}
     np.savez_compressed(folder / GOLDEN, **golden)  # type: ignore[arg-type]
     copy_card(folder, fields["name"])

@@ -11,6 +11,7 @@ import torch
 
 from model_export.export import ExportGraph, golden_windows, stft_section, write_bundle
 from model_export.networks import MAX_SOURCES, NUM_BINS, NUM_FRAMES
+from model_export.parameters import parameter_arrays
 from model_export.regression import RegressionPipeline, RegressionTask
 from model_export.subspace import delay_products
 from model_export.tasks import STFT, steering_delays
@@ -52,6 +53,7 @@ def export_regression(task: RegressionTask, folder: Path, fields: Mapping[str, A
             "squeeze": pipeline.fusion.squeeze.weight.detach().numpy(),
             "excite": pipeline.fusion.excite.weight.detach().numpy(),
         },
+        parameter_arrays(model=pipeline),
         list(reference_spectra(pipeline, windows, array)),
         windows,
         array,

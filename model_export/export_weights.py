@@ -17,6 +17,7 @@ from model_export.export import (
     stft_section,
     write_bundle,
 )
+from model_export.parameters import parameter_arrays
 from model_export.subspace import delay_products
 from model_export.tasks import STFT, steering_delays
 from model_export.weights import WINDOW_SHARE, WeightsPipeline
@@ -67,6 +68,7 @@ def export_weights(
             "dominance_power": np.array(analysis.dominance_power, np.float32),
             "window_share": np.array(analysis.window_share, np.float32),
         },
+        parameter_arrays(model=pipeline, source_count=source_count),
         list(reference_spectra(pipeline, windows, array)),
         windows,
         array,

@@ -26,7 +26,8 @@ FUSION = "fusion.npz"
 GOLDEN = "golden.npz"
 FILES = (COVARIANCE, SOURCE_COUNT, FUSION, GOLDEN)
 CARD = "card.md"
-OPTIONAL_FILES = (CARD,)
+PARAMETERS = "parameters.npz"
+OPTIONAL_FILES = (CARD, PARAMETERS)
 """Nothing that serving needs; verified where the manifest names them"""
 MAX_FILE_BYTES = 256 * 2**20
 
@@ -90,8 +91,8 @@ def load_bundle(folder: Path, *, threads: int = 1) -> Bundle:
         sha256=digest,
         covariance=_engine(folder, COVARIANCE, manifest, threads),
         source_count=_engine(folder, SOURCE_COUNT, manifest, threads),
-        fusion=_arrays(folder / FUSION),
-        golden=_arrays(folder / GOLDEN),
+        fusion=read_arrays(folder / FUSION),
+        golden=read_arrays(folder / GOLDEN),
         card=_text(folder / CARD) if CARD in manifest.files else None,
     )
 
@@ -149,7 +150,8 @@ def _engine(folder: Path, name: str, manifest: Manifest, threads: int) -> Engine
     return engine
 
 
-def _arrays(path: Path) -> dict[str, FloatArray]:
+def read_arrays(path: Path) -> dict[str, FloatArray]:
+    """The arrays of one of a bundle's npz files by their names, or BundleCorrupt; no pickle."""
     try:
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}

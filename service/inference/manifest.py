@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 SCHEMA_VERSION: Literal[1] = 1
 Variant = Literal["weights", "regression"]
+NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]{0,63}$"
 
 
 class _Section(BaseModel):
@@ -53,7 +54,7 @@ class Manifest(_Section):
     """Everything that a bundle says of itself."""
 
     schema_version: Literal[1] = SCHEMA_VERSION
-    name: str = Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,63}$")
+    name: str = Field(pattern=NAME_PATTERN)
     version: str
     variant: Variant
     """`weights`: time-frequency weights come out, any array; `regression`: matrices, one array"""

@@ -1,0 +1,42 @@
+"""Where an array's microphones really are, learned from sounds of known directions.
+
+The `weights` network sees no geometry, so no training of it can make up for microphones that are
+not where the array's description has them, or for an array that is mounted a little turned.
+The fused spectrum is differentiable in the steering delays, hence in the positions.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from service.doa.array import SPEED_OF_SOUND, MicrophoneArray
+
+
+class ArrayCalibration(nn.Module):
+    """Offsets (N, 3) in metres from an array's nominal positions.
+
+    Steering vectors are those of level directions, so that heights are never changed.
+    """
+
+    nominal: Tensor
+
+    def __init__(self, array: MicrophoneArray) -> None:
+        super().__init__()
+        self._array = array
+        self.register_buffer("nominal", torch.from_numpy(array.positions.copy()).float())
+        self.offsets = nn.Parameter(torch.zeros_like(self.nominal))
+
+    def delays(self, azimuth: Tensor) -> Tensor:
+        """``tasks.steering_delays`` (N, A) in seconds at azimuths (A,), differentiable."""
+        positions = self.nominal + self.offsets
+        centred = positions - positions.mean(0)
+        directions = torch.stack([azimuth.cos(), azimuth.sin(), torch.zeros_like(azimuth)])
+        return centred @ directions / SPEED_OF_SOUND
+
+    def array(self) -> MicrophoneArray:
+        """The array as calibrated, about its nominal centre, to the micrometre."""
+        offsets = self.offsets.detach().double()
+        moved = self._array.positions + (offsets - offsets.mean(0)).numpy()
+        name = f"{self._array.name.removesuffix('-calibrated')}-calibrated"
+        return MicrophoneArray(name, moved.round(6), "calibrated by fine-tuning")
