@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import torch
 from rich.progress import track
-from torch import nn
+from torch import Tensor, nn
 
 from model_export.calibration import ArrayCalibration
 from model_export.export_finetuned import export_finetuned, fine_tuning_record
@@ -180,7 +180,7 @@ def train(
                     batch["delays"] = delays.expand(settings.batch_size, -1, -1)
             else:
                 batch = next(simulated)
-            loss = model.task.losses(batch)["loss"]
+            loss = _finite_loss(model.task, batch)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()
             torch.nn.utils.clip_grad_norm_(parameters, 1.0)
@@ -188,6 +188,17 @@ def train(
             schedule.step()
             losses.append(float(loss.detach()))
     return losses, array if calibration is None else calibration.array()
+
+
+def _finite_loss(task: Task, batch: Batch) -> Tensor:
+    diverged = "the training diverged: take a smaller --learning-rate"
+    try:
+        loss = task.losses(batch)["loss"]
+    except RuntimeError as error:  # torch's LinAlgError: covariances of NaN have no eigenvectors
+        raise ValueError(diverged) from error
+    if not torch.isfinite(loss):
+        raise ValueError(diverged)
+    return loss
 
 
 def trained_parameters(task: Task) -> list[nn.Parameter]:
