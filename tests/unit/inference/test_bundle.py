@@ -19,8 +19,14 @@ from service.errors import (
     SelfTestFailed,
     UnknownModel,
 )
-from service.inference.bundle import FILES, file_sha256, load_bundle
-from service.inference.registry import EMBEDDED_MODELS, BundleRegistry, bundle_folders, self_test
+from service.inference.bundle import FILES, Bundle, file_sha256, load_bundle
+from service.inference.registry import (
+    EMBEDDED_MODELS,
+    BundleRegistry,
+    bundle_folders,
+    by_error,
+    self_test,
+)
 
 
 @pytest.fixture
@@ -38,7 +44,7 @@ def edit(folder: Path, change: Callable[[dict], object]) -> None:
 
 def test_the_embedded_bundles_load_and_pass_their_self_test() -> None:
     registry = BundleRegistry.load()
-    assert [bundle.manifest.name for bundle in registry.bundles] == ["any-array"]
+    assert [bundle.manifest.name for bundle in registry.bundles] == ["any-array", "paper"]
     scores = registry.bundles[0].manifest.scores["cells"]
     assert scores["M=1, order 4, 30 dB"]["median_error_deg"] <= 2.0
 
@@ -145,6 +151,17 @@ def test_the_default_bundle_is_preferred_where_it_fits(folder: Path, default: st
         for bundle in [registry.for_array(preset(array))]
     }
     assert names == {"respeaker-usb-4mic-v2": default, "matrix-voice": "any-array"}
+
+
+def test_of_the_embedded_bundles_the_one_with_the_smallest_error_answers(folder: Path) -> None:
+    def scored(name: str, **errors: float) -> Bundle:
+        cells = {cell: {"maae_deg": error} for cell, error in errors.items()}
+        edit(folder, lambda fields: fields.update(name=name, scores={"cells": cells}))
+        return load_bundle(folder)
+
+    bundles = [scored("worse", a=2.0, b=3.0), scored("better", a=1.0, b=3.5, c=90.0)]
+    assert [bundle.manifest.name for bundle in by_error(bundles)] == ["better", "worse"]
+    assert by_error([]) == []
 
 
 def test_two_bundles_of_one_name_are_refused(folder: Path) -> None:
