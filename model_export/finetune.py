@@ -1,10 +1,10 @@
 """Fine-tuning of a bundle on labelled recordings of one room and one array.
 
-A `weights` bundle is trained as a whole, together with the positions of the microphones; a
-`regression` bundle in its encoder and its covariance regressor only (Yang et al. freeze the rest as
-well). BatchNorm's statistics and the source count stay as they are, recordings being far too few to
-estimate them. What the service answers to held-out directions, before and after, decides whether
-there is a new bundle.
+For a `weights` bundle the positions of the microphones are found and, if asked for, the whole
+network is trained; for a `regression` bundle the encoder and the covariance regressor are trained
+(Yang et al. freeze the rest as well). BatchNorm's statistics and the source count stay as they are,
+recordings being far too few to estimate them. What the service answers to held-out directions,
+before and after, decides whether there is a new bundle.
 """
 
 from __future__ import annotations
@@ -47,18 +47,23 @@ from service.inference.manifest import NAME_PATTERN
 ARRAY = "array.json"
 """The calibrated array beside a bundle's files, as ``--array @FILE`` and requests take it"""
 
+LEARNING_RATES = {"weights": 0.0, "regression": 1e-4}
+"""Training the any-array network on one room's few recordings made directions worse than finding
+the positions alone (docs/finetuning.md); the paper's network has no other way to learn an array"""
+
 
 @dataclass(frozen=True, slots=True)
 class FineTuning:
     """How a bundle is fine-tuned."""
 
-    steps: int = 200
+    steps: int = 100
     batch_size: int = 16
     """Scenes per step"""
-    learning_rate: float = 1e-4
-    """At the start; it falls to zero along a cosine"""
+    learning_rate: float | None = None
+    """Of the network, at the start; it falls to zero along a cosine. 0 leaves the network as it is,
+    None is the variant's of ``LEARNING_RATES``"""
     calibration_rate: float = 2e-4
-    """The same for the microphones' positions: metres per step, about"""
+    """Of the microphones' positions: metres per step, about"""
     validation_share: float = 0.2
     """Share of the directions that are held out"""
     simulated: float = 0.25
@@ -125,6 +130,9 @@ def finetune(
     if not bundle.fits(array):
         raise ValueError(f"the bundle {bundle.manifest.name} is bound to another array")
     model = trained_model(bundle)
+    settings = replace(settings, learning_rate=learning_rate(model, settings))
+    if bank is not None and settings.learning_rate == 0:
+        raise ValueError("simulated rooms only guard a network in training: give --learning-rate")
     tuned, held_out = hold_out(recordings, settings.validation_share)
     rows = score_rows(LabelledScenes(held_out, array), settings.seed)
     if test:
@@ -161,12 +169,13 @@ def train(
     """
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng([settings.seed, 2])
-    parameters = trained_parameters(model.task)
-    groups: list[dict[str, Any]] = [{"params": parameters, "lr": settings.learning_rate}]
+    rate = learning_rate(model, settings)
+    parameters = trained_parameters(model.task) if rate else []
+    groups: list[dict[str, Any]] = [{"params": parameters, "lr": rate}] if rate else []
     calibration = ArrayCalibration(array) if model.config.variant == "weights" else None
     if calibration is not None:
-        rate = settings.calibration_rate
-        groups.append({"params": [calibration.offsets], "lr": rate, "weight_decay": 0.0})
+        place = {"params": [calibration.offsets], "lr": settings.calibration_rate}
+        groups.append({**place, "weight_decay": 0.0})
     optimizer = torch.optim.AdamW(groups)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, settings.steps)
     losses = []
@@ -199,6 +208,13 @@ def _finite_loss(task: Task, batch: Batch) -> Tensor:
     if not torch.isfinite(loss):
         raise ValueError(diverged)
     return loss
+
+
+def learning_rate(model: TrainedModel, settings: FineTuning) -> float:
+    """The network's learning rate: the one that was set, or its variant's."""
+    if settings.learning_rate is None:
+        return LEARNING_RATES[model.config.variant]
+    return settings.learning_rate
 
 
 def trained_parameters(task: Task) -> list[nn.Parameter]:

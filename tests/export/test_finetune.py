@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from model_export.counting import CandidateCountNetwork
 from model_export.export import digest
 from model_export.export_regression import export_regression
 from model_export.export_weights import export_weights
-from model_export.finetune import FineTuning, Outcome, finetune, train
+from model_export.finetune import FineTuning, finetune, train
 from model_export.heldout import hold_out
 from model_export.labelled_scenes import LabelledScenes
 from model_export.labels import LABELS
@@ -27,6 +27,7 @@ from model_export.parameters import trained_model
 from model_export.recordings import load_recordings
 from model_export.regression import RegressionTask
 from model_export.rooms import RoomSpec
+from model_export.scenes import RoomBank
 from model_export.synthesis import synthetic_voice
 from model_export.tasks import WeightsTask
 from service.cli.inputs import read_array
@@ -195,27 +196,63 @@ def test_training_fits_the_recordings_and_is_deterministic(
     assert digest(first.task.model.state_dict()) == digest(second.task.model.state_dict())
 
 
+def record_around(
+    folder: Path,
+    array: MicrophoneArray,
+    plane_waves: Callable[..., FloatArray],
+    labels: Sequence[int],
+) -> Path:
+    """Recordings of every 45 degrees in ``folder``/recordings, labelled with ``labels``."""
+    recordings = folder / "recordings"
+    recordings.mkdir()
+    rows = ["file,azimuth_deg"]
+    for index, azimuth in enumerate(labels):
+        audio = plane_waves(array, [45 * index], seconds=1.5, seed=index)
+        soundfile.write(recordings / f"{index}.wav", audio.T, 16000)
+        rows.append(f"{index}.wav,{azimuth}")
+    (recordings / LABELS).write_text("\n".join(rows))
+    return folder
+
+
 def test_an_array_that_is_mounted_turned_is_found_out(
     weights: Path, tmp_path: Path, square: MicrophoneArray, plane_waves: Callable[..., FloatArray]
 ) -> None:
     mounted = square.rotated(np.deg2rad(4.0))
-    rows = ["file,azimuth_deg"]
-    for index, azimuth in enumerate(range(0, 360, 45)):
-        audio = plane_waves(mounted, [azimuth], seconds=1.5, seed=index)
-        soundfile.write(tmp_path / f"{index}.wav", audio.T, 16000)
-        rows.append(f"{index}.wav,{azimuth}")
-    (tmp_path / LABELS).write_text("\n".join(rows))
-    recordings = load_recordings(tmp_path, square)
-    settings = FineTuning(steps=20, batch_size=4, learning_rate=1e-4, validation_share=0.25)
-    outcome = finetune(
-        load_bundle(weights), recordings, square, tmp_path / "new", settings, name="turned"
-    )
+    record_around(tmp_path, mounted, plane_waves, range(0, 360, 45))
+    recordings = load_recordings(tmp_path / "recordings", square)
+    settings = FineTuning(steps=20, batch_size=4, validation_share=0.25)
+    outcome = finetune(load_bundle(weights), recordings, square, tmp_path / "new", settings)
     assert outcome.before["as recorded"]["maae_deg"] > 3.5
     assert outcome.after["as recorded"]["maae_deg"] < 2.0
     assert outcome.better
+    start, new = (load_bundle(f).manifest.training for f in (weights, tmp_path / "new"))
+    assert new["parameters"] == start["parameters"]  # only the array was wrong
     towards = np.arctan2(*outcome.array.positions[:, 1::-1].T) - np.deg2rad([45, 135, 225, 315])
     turned = np.angle(np.exp(1j * towards).mean())
     assert np.rad2deg(turned) == pytest.approx(4.0, abs=1.5)
+
+
+def test_simulated_scenes_take_their_share_of_the_steps(
+    weights: Path, own_room: Path, tmp_path: Path, square: MicrophoneArray
+) -> None:
+    recordings = load_recordings(own_room / "recordings", square)
+    scenes, model = LabelledScenes(recordings, square), trained_model(load_bundle(weights))
+    batch = model.task.collate(np.random.default_rng(0), scenes.windows(1)[:4])
+    few = replace(SHORT, steps=2, simulated=1.0)
+    simulated = iter([batch] * 3)
+    _, array = train(model, scenes, square, few, simulated)
+    assert len(list(simulated)) == 1
+    np.testing.assert_allclose(array.positions, square.positions)  # they are of other arrays
+    (tmp_path / "0.npz").touch()
+    with pytest.raises(ValueError, match="give --learning-rate"):
+        finetune(
+            load_bundle(weights),
+            recordings,
+            square,
+            tmp_path / "new",
+            replace(SHORT, learning_rate=None),
+            bank=RoomBank(tmp_path),
+        )
 
 
 def changed(model: torch.nn.Module, start: torch.nn.Module) -> set[str]:
@@ -243,6 +280,7 @@ def test_from_a_bundle_and_recordings_to_a_bundle(
 ) -> None:
     out = tmp_path / "models" / "mine"
     test = ["--test", str(own_room / "test"), "--name", "mine", "--force"]
+    test += ["--learning-rate", "1e-4"]
     assert main(command(weights, own_room, out, *test)) == 0
     printed = capsys.readouterr().out
     for row in ("8 recordings of 8 directions", "as recorded", "two talkers", "test recordings"):
@@ -269,19 +307,20 @@ def test_from_a_bundle_and_recordings_to_a_bundle(
 
 def test_a_worse_bundle_is_not_written(
     weights: Path,
-    own_room: Path,
     tmp_path: Path,
+    square: MicrophoneArray,
+    plane_waves: Callable[..., FloatArray],
     capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    out = tmp_path / "worse"
-    # Two steps of an untrained network may turn out either way.
-    monkeypatch.setattr(Outcome, "better", False)
-    assert main(command(weights, own_room, out)) == 2
+    # All labels but those of the directions that are held out, 90 and 270, are wrong.
+    labels = [10, 55, 90, 145, 190, 235, 270, 325]
+    folder = record_around(tmp_path, square, plane_waves, labels)
+    models = tmp_path / "models"
+    assert main(command(weights, folder, models / "worse", "--steps", "8")) == 2
     captured = capsys.readouterr()
     assert "no better than before, so nothing was written" in captured.err
     assert "as recorded" in captured.out  # the table still says how much worse
-    assert list(tmp_path.iterdir()) == []
+    assert list(models.iterdir()) == []
 
 
 def test_training_that_diverges_says_so(
