@@ -48,8 +48,8 @@ ARRAY = "array.json"
 """The calibrated array beside a bundle's files, as ``--array @FILE`` and requests take it"""
 
 LEARNING_RATES = {"weights": 0.0, "regression": 1e-4}
-"""Training the any-array network on one room's few recordings made directions worse than finding
-the positions alone (docs/finetuning.md); the paper's network has no other way to learn an array"""
+"""Training the any-array network, too, was once worse and once better than finding the positions
+alone (docs/finetuning.md), which cannot forget; the paper's has no other way to learn an array"""
 
 
 @dataclass(frozen=True, slots=True)
