@@ -55,6 +55,8 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument("--config", choices=sorted(CONFIGS), default="any-array")
     train.add_argument("--run", type=Path, required=True, help="folder of the run")
     train.add_argument("--init", type=Path, help="run to start from, where the config wants one")
+    train.add_argument("--device", help="cpu or cuda (default: cuda where there is one)")
+    train.add_argument("--workers", type=int, default=1, help="processes that simulate scenes")
     train.add_argument("--smoke", action="store_true", help="a few steps only, to try it out")
     train.add_argument("--rooms", type=Path, help="room bank, where the config draws arrays")
     train.add_argument(
@@ -131,7 +133,7 @@ def _add_finetune(commands: Any) -> None:
     tune.add_argument("--force", action="store_true", help="write a bundle that is no better, too")
     tune.add_argument("--rooms", type=Path, help="room bank, to mix simulated scenes in")
     tune.add_argument("--speech-commands", type=Path, help="corpus folder for these scenes")
-    tune.set_defaults(run_command=_finetune, librispeech=None)
+    tune.set_defaults(run_command=_finetune, librispeech=None, noise=None)
 
 
 def _add_own_room(commands: Any) -> None:
@@ -141,7 +143,7 @@ def _add_own_room(commands: Any) -> None:
     own.add_argument("--directions", type=int, default=36)
     own.add_argument("--seed", type=int, default=1)
     own.add_argument("--speech-commands", type=Path, required=True, help="corpus folder")
-    own.set_defaults(run_command=_own_room, librispeech=None)
+    own.set_defaults(run_command=_own_room, librispeech=None, noise=None)
 
 
 def _add_speech(parser: argparse.ArgumentParser, *, required: bool) -> None:
@@ -179,6 +181,8 @@ def _train(arguments: argparse.Namespace) -> None:
         arguments.run,
         *sources(arguments, config),
         init=arguments.init,
+        workers=arguments.workers,
+        device=arguments.device or ("cuda" if torch.cuda.is_available() else "cpu"),
     )
 
 

@@ -207,5 +207,8 @@ def rotated_products(array: MicrophoneArray, rotation: Tensor, azimuth: Tensor) 
     ``rotation`` is a scalar in radians.
     """
     positions = array.rotated(float(rotation)).positions
-    delays = np.stack([steering_delays(positions, row) for row in azimuth.double().numpy()])
-    return delay_products(torch.from_numpy(delays), torch.from_numpy(STFT.frequencies).float())
+    delays = np.stack([steering_delays(positions, row) for row in azimuth.double().cpu().numpy()])
+    frequencies = torch.from_numpy(STFT.frequencies).float()
+    return delay_products(
+        torch.from_numpy(delays).to(azimuth.device), frequencies.to(azimuth.device)
+    )

@@ -48,7 +48,7 @@ class ReconstructionDecoder(nn.Module):
     def forward(self, latent: Tensor) -> Tensor:
         size = self.num_microphones
         real, imaginary = self.linear(latent).unflatten(-1, (2, size, size)).unbind(-3)
-        others = 1 - torch.eye(size)
+        others = 1 - torch.eye(size, device=latent.device)
         return torch.complex(real * others, imaginary * others)
 
 

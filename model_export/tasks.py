@@ -107,11 +107,11 @@ class WeightsTask:
         return {"peak_error_deg": nearest_peak_error(self._run(batch).fused, batch)}
 
     def _run(self, batch: Batch) -> FusedSpectrum:
-        frequencies = torch.from_numpy(STFT.frequencies[1:]).float()[batch["bins"]]
+        frequencies = torch.from_numpy(STFT.frequencies[1:]).float().to(batch["bins"].device)
         result: FusedSpectrum = self.model(
             batch["features"],
             batch["spectra"],
-            delay_products(batch["delays"], frequencies),
+            delay_products(batch["delays"], frequencies[batch["bins"]]),
             resolution=batch["resolution"],
             bins=batch["bins"],
         )

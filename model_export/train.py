@@ -34,35 +34,38 @@ def train(
     *,
     init: Path | None = None,
     workers: int = 1,
+    device: str = "cpu",
 ) -> Task:
     """Train until ``config.steps``, continuing from the run folder's checkpoint if there is one.
 
-    ``init`` is the folder of the run that ``config.starts_from`` names.
+    ``init`` is the folder of the run that ``config.starts_from`` names. The run may go on on
+    another ``device`` than it began.
 
     Returns
     -------
     task : Task
-        With the trained model in evaluation mode.
+        With the trained model in evaluation mode, on the CPU.
     """
     run.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(config.seed)
     task = task_of(config)
     _start_from(config, task, init)
+    task.model.to(device)
     optimizer = torch.optim.AdamW(
         task.model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
     )
     schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, _cosine(config.steps))
     step = _resume(run, config, task, optimizer, schedule)
     if step >= config.steps:
-        task.model.eval()
+        task.model.cpu().eval()
         return task
     stream = SceneStream(config, scenes, first_step=step)
     loader = iter(DataLoader(stream, batch_size=None, num_workers=workers, prefetch_factor=4))
-    validation = _validation_batches(config, validation_scenes)
+    validation = [on(device, b) for b in _validation_batches(config, validation_scenes)]
     running: dict[str, float] = {}
     with _progress(config, step) as (progress, bar):
         while step < config.steps:
-            losses = _optimize(task, next(loader), optimizer, schedule)
+            losses = _optimize(task, on(device, next(loader)), optimizer, schedule)
             for name, value in losses.items():
                 running[name] = 0.98 * running.get(name, value) + 0.02 * value
             step += 1
@@ -71,8 +74,13 @@ def train(
                 scores = _validate(task, validation)
                 _write_curves(run, step, running, scores)
                 _checkpoint(run, step, task, optimizer, schedule)
-    task.model.eval()
+    task.model.cpu().eval()
     return task
+
+
+def on(device: str, batch: Batch) -> Batch:
+    """The batch on a device; scenes are simulated on the CPU whatever trains on them."""
+    return {name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()}
 
 
 def _start_from(config: TrainingConfig, task: Task, init: Path | None) -> None:
@@ -93,7 +101,7 @@ def load_run(run: Path) -> tuple[TrainingConfig, Task, int]:
         raise FileNotFoundError(f"{run} holds no checkpoint.pt: train first")
     config = TrainingConfig.from_dict(json.loads((run / "config.json").read_text()))
     task = task_of(config)
-    state = torch.load(run / "checkpoint.pt", weights_only=True)
+    state = torch.load(run / "checkpoint.pt", weights_only=True, map_location="cpu")
     task.model.load_state_dict(state["model"])
     task.model.eval()
     return config, task, int(state["step"])
@@ -144,7 +152,7 @@ def _resume(run: Path, config: TrainingConfig, task: Task, optimizer: Any, sched
     path = run / "checkpoint.pt"
     if not path.exists():
         return 0
-    state = torch.load(path, weights_only=True)
+    state = torch.load(path, weights_only=True, map_location="cpu")
     task.model.load_state_dict(state["model"])
     optimizer.load_state_dict(state["optimizer"])
     schedule.load_state_dict(state["schedule"])

@@ -199,5 +199,5 @@ def block_covariances(spectra: Tensor, weights: Tensor) -> Tensor:
     scaled = spectra * (weights / power).sqrt()[:, None]
     blocks = scaled.permute(0, 2, 3, 1).unflatten(2, (-1, BLOCK_FRAMES))  # (B, F, K, 8, N)
     covariance = blocks.transpose(-1, -2) @ blocks.conj()
-    loading = CELL_LOADING * torch.eye(covariance.shape[-1], dtype=covariance.dtype)
-    return covariance + loading
+    identity = torch.eye(covariance.shape[-1], dtype=covariance.dtype, device=covariance.device)
+    return covariance + CELL_LOADING * identity
