@@ -22,7 +22,8 @@ from service.inference.results import Source, WindowEstimate
 
 BLOCK_FRAMES = 8
 LEAST_CONFIDENCE = 0.5
-"""Where the number of sources is estimated, what is more likely wrong than right is left out"""
+"""Where the number of sources is estimated: a second or third that is more likely wrong than right
+is left out"""
 CELL_LOADING = 1e-6
 """Of the frames' unit power: blocks that the network all but drops lose their dominance"""
 
@@ -197,11 +198,15 @@ def analysis_of(bundle: Bundle) -> Analysis:
 def _select(
     window: Candidates, confidence: FloatArray, count: int, least: float = 0.0
 ) -> WindowEstimate:
-    """The ``count`` candidates found first that are confident enough, most confident first."""
+    """The ``count`` candidates found first, most confident first.
+
+    Whether anyone sounds at all is the count's to say, so the most confident is always among them;
+    others need a confidence of ``least``.
+    """
     found = np.flatnonzero(np.isfinite(window.azimuth))[:count]
-    found = found[confidence[found] >= least]
     order = found[np.argsort(-confidence[found], kind="stable")]
+    kept = [index for rank, index in enumerate(order) if rank == 0 or confidence[index] >= least]
     sources = tuple(
-        Source(float(window.azimuth[index]), float(confidence[index])) for index in order
+        Source(float(window.azimuth[index]), float(confidence[index])) for index in kept
     )
     return WindowEstimate(sources, window.fused)
