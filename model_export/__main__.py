@@ -8,12 +8,14 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 
 from model_export.config import CONFIGS, TrainingConfig, smoke
 from model_export.datasets.noise import noise_recordings
 from model_export.datasets.speech import Split, librispeech, load, speech_commands
 from model_export.streams import SceneSource
+from model_export.synthesis import sound_bursts
 from service.doa.presets import PRESETS, preset
 from service.doa.types import FloatArray
 from service.errors import DoaError
@@ -26,6 +28,8 @@ LIBRISPEECH_REPEATS = 6
 """Utterances stand this often among the words, so that a tenth of the scenes is running speech"""
 EVENT_REPEATS = 5
 """Barks and cries among the words: one source in twenty"""
+BURSTS = 300
+"""Synthetic sounds that are no speech: one source in sixteen"""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -158,6 +162,8 @@ def _speech(arguments: argparse.Namespace, split: Split) -> list[FloatArray]:
         audio += load(librispeech(arguments.librispeech, split)) * LIBRISPEECH_REPEATS
     if arguments.noise and split == "train":
         audio += noise_recordings(arguments.noise, "events") * EVENT_REPEATS
+        rng = np.random.default_rng(0)
+        audio += [sound_bursts(rng, 2.0) for _ in range(BURSTS)]
     return audio
 
 
@@ -293,8 +299,6 @@ def _write_results(arguments: argparse.Namespace, workers: Workers, results: Res
 
 
 def _simulate(arguments: argparse.Namespace) -> None:
-    import numpy as np
-
     from model_export.simulate import Protocol, write_scenes
     from model_export.synthesis import synthetic_voice
 

@@ -29,12 +29,12 @@ from service.inference.weights import CandidateSearch
 
 HIT = np.deg2rad(10.0)
 MAX_SOURCES = 4
-SHORT_WINDOWS = 0.3
+SHORT_WINDOWS = 0.4
 """Share of the scenes that are cut to half a second or more"""
 GROUP = 64
 """Scenes from one chunk of rooms"""
 COUNTING_SCENES = SceneConfig(
-    source_counts=(0.2, 0.35, 0.25, 0.15, 0.05), snr_db=(-5.0, 35.0), min_separation=np.deg2rad(10)
+    source_counts=(0.12, 0.40, 0.28, 0.15, 0.05), snr_db=(-5.0, 35.0), min_separation=np.deg2rad(10)
 )
 
 

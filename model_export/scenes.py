@@ -57,7 +57,7 @@ class SceneConfig:
     """Of the diffuse noises, where recordings are given"""
     coupled: float = 0.15
     machine: float = 0.15
-    """Steady noise from one place that is no talker; more often where nobody talks"""
+    """A fan at one place, which is no talker; more often where nobody talks"""
     crosstalk: float = 0.15
     band_limit: float = 0.12
     quantised: float = 0.2
@@ -219,11 +219,7 @@ def _noise(
     mixture = unit_power(mixture)
     free = np.setdiff1d(np.arange(len(chunk["azimuth"][room])), chosen)
     if len(free) and rng.random() < (config.machine if len(chosen) else 4 * config.machine):
-        steady = (
-            excerpt(rng, noises, DRY_SAMPLES)
-            if noises and rng.random() < 0.5
-            else fan(rng, DRY_SAMPLES)
-        )
+        steady = fan(rng, DRY_SAMPLES)
         responses = chunk["responses"][room, rng.choice(free)].astype(np.float32)
         machine = convolve(steady, responses)[:, -shape[1] - responses.shape[1] :][:, : shape[1]]
         mixture = unit_power(mixture + unit_power(machine) * np.float32(rng.uniform(0.3, 3)))

@@ -38,6 +38,20 @@ def synthetic_voice(rng: np.random.Generator, seconds: float) -> FloatArray:
     return scaled
 
 
+def sound_bursts(rng: np.random.Generator, seconds: float) -> FloatArray:
+    """Sounds that come and go and are no speech, (T,) float32: noise or pulses in bursts."""
+    samples = int(seconds * SAMPLE_RATE)
+    pulses = np.diff(np.floor(np.arange(samples) * rng.uniform(80, 400) / SAMPLE_RATE), prepend=0)
+    share = rng.choice([0.0, 1.0, rng.random()])
+    sound = share * pulses * np.sqrt(samples / max(pulses.sum(), 1))
+    sound = sound + (1.03 - share) * rng.standard_normal(samples)
+    time = np.arange(samples) / SAMPLE_RATE
+    envelope = np.sin(np.pi * rng.uniform(2, 7) * time + rng.uniform(0, np.pi)) ** 2
+    bursts = sound * envelope ** rng.uniform(0.5, 3)
+    scaled: FloatArray = (bursts / np.abs(bursts).max()).astype(np.float32)
+    return scaled
+
+
 def _syllable(rng: np.random.Generator, pitch: float) -> FloatArray:
     """A fricative onset half of the time, then a vowel with a falling pitch."""
     samples = int(rng.uniform(0.12, 0.28) * SAMPLE_RATE)

@@ -14,6 +14,7 @@ from model_export.imperfections import band_limit, crosstalk, mismatch, quantise
 from model_export.noise import coupled_noise, excerpt, fan, shaped_like, unit_power
 from model_export.rooms import RoomSpec, impulse_responses, paper_room
 from model_export.scenes import Scene, direct_response
+from model_export.synthesis import sound_bursts
 from model_export.tasks import direct_share
 from service.doa.steering import unit_vectors
 
@@ -37,6 +38,15 @@ def test_a_fan_is_steady_and_never_silent(rng: np.random.Generator) -> None:
         audio = fan(rng, 32000)
         levels = np.square(audio[: 20 * 1600].reshape(20, -1)).mean(axis=1)
         assert levels.max() < 3 * levels.min()
+
+
+def test_bursts_come_and_go_and_are_never_silent_for_a_window(rng: np.random.Generator) -> None:
+    for _ in range(5):
+        audio = sound_bursts(rng, 2.0)
+        assert np.isfinite(audio).all()
+        levels = np.square(audio[: 40 * 800].reshape(40, -1)).mean(axis=1)
+        assert levels.max() > 10 * levels.min()
+        assert levels.reshape(2, 20).max(axis=1).min() > 0.01 * levels.max()
 
 
 def test_noise_shaped_like_a_recording_has_its_spectrum_and_its_pauses(
