@@ -24,6 +24,9 @@ BLOCK_FRAMES = 8
 LEAST_CONFIDENCE = 0.5
 """Where the number of sources is estimated: a second or third that is more likely wrong than right
 is left out"""
+LEAST_FIRST = 0.2
+"""The same of the most confident: whether anyone sounds is the count's to say, unless it is all but
+sure that nobody sounds there"""
 CELL_LOADING = 1e-6
 """Of the frames' unit power: blocks that the network all but drops lose their dominance"""
 
@@ -198,14 +201,16 @@ def analysis_of(bundle: Bundle) -> Analysis:
 def _select(
     window: Candidates, confidence: FloatArray, count: int, least: float = 0.0
 ) -> WindowEstimate:
-    """The ``count`` candidates found first, most confident first.
+    """The ``count`` candidates found first that are confident enough, most confident first.
 
-    Whether anyone sounds at all is the count's to say, so the most confident is always among them;
-    others need a confidence of ``least``.
+    The most confident is held to at most ``LEAST_FIRST``.
     """
     found = np.flatnonzero(np.isfinite(window.azimuth))[:count]
     order = found[np.argsort(-confidence[found], kind="stable")]
-    kept = [index for rank, index in enumerate(order) if rank == 0 or confidence[index] >= least]
+    bounds = [min(least, LEAST_FIRST), *[least] * len(order)]
+    kept = [
+        index for index, bound in zip(order, bounds, strict=False) if confidence[index] >= bound
+    ]
     sources = tuple(
         Source(float(window.azimuth[index]), float(confidence[index])) for index in kept
     )
