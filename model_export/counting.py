@@ -17,7 +17,7 @@ from rich.progress import track
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
-from model_export.reliability import calibration_error, confidence_bins
+from model_export.reliability import HIT_DEG, calibration_error, confidence_bins
 from model_export.scenes import WINDOW_SAMPLES, RoomBank, Scene, SceneConfig, draw_scene
 from model_export.tasks import SHORT_SAMPLES
 from service.doa.array import MicrophoneArray
@@ -27,7 +27,6 @@ from service.inference.candidates import NUM_CANDIDATES
 from service.inference.descriptors import NUM_DESCRIPTORS
 from service.inference.weights import CandidateSearch
 
-HIT = np.deg2rad(10.0)
 MAX_SOURCES = 4
 SHORT_WINDOWS = 0.4
 """Share of the scenes that are cut to half a second or more"""
@@ -134,7 +133,7 @@ def first_hits(candidates: FloatArray, azimuth: FloatArray) -> FloatArray:
     free = list(azimuth)
     for rank, candidate in enumerate(candidates):
         errors = [float(circular_error(candidate, source)) for source in free]
-        if errors and np.isfinite(candidate) and min(errors) <= HIT:
+        if errors and np.isfinite(candidate) and min(errors) <= np.deg2rad(HIT_DEG):
             free.pop(int(np.argmin(errors)))
             hit[rank] = 1
     return hit

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
+from model_export import SAMPLE_RATE
 from model_export.cells import living_room
 from model_export.datasets.speech import Clip, load
 from model_export.fan import air_noise, fan_tones
@@ -24,7 +25,6 @@ from model_export.methods import CLASSICAL
 from model_export.noise import unit_power
 from model_export.rooms import (
     NUM_WAVES,
-    SAMPLE_RATE,
     diffuse_noise,
     impulse_responses,
     isotropic_directions,

@@ -1,4 +1,4 @@
-"""The sound of a small axial fan: tones of its blades and coloured noise of the air.
+"""The sound of fans: tones of the blades and coloured noise of the air.
 
 What a robot's cooling fan sounds like: the blade-passing frequency and its harmonics, which wander
 with the motor, over broadband noise that falls by 6 dB an octave.
@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from model_export.rooms import SAMPLE_RATE
+from model_export import SAMPLE_RATE
+from model_export.noise import colour, unit_power
 from service.doa.types import FloatArray
 
 ROTATION = 60.0
@@ -45,3 +46,16 @@ def air_noise(rng: np.random.Generator, num_channels: int, num_samples: int) -> 
     spectrum *= (frequency >= LOWEST) / np.sqrt(1 + (frequency / CORNER) ** 2)
     noise = np.fft.irfft(spectrum, num_samples, axis=-1)
     return noise / noise.std(axis=-1, keepdims=True)
+
+
+def random_fan(rng: np.random.Generator, num_samples: int) -> FloatArray:
+    """Any steady fan, (T,) float32, for training: not the one whose sound scores, above."""
+    time = np.arange(num_samples) / SAMPLE_RATE
+    blades = rng.uniform(60, 400)
+    tones = np.zeros(num_samples)
+    for harmonic in range(1, 1 + int(rng.integers(2, 12))):
+        level = 10 ** (-rng.uniform(0.1, 0.6) * harmonic)
+        drift = 0.002 * np.sin(2 * np.pi * rng.uniform(0.1, 1) * time)
+        tones += level * np.sin(2 * np.pi * harmonic * blades * (time + drift / blades))
+    turbulence = colour(rng, rng.standard_normal((1, num_samples), dtype=np.float32))
+    return (unit_power(turbulence)[0] + rng.uniform(0, 2) * tones).astype(np.float32)

@@ -14,12 +14,11 @@ from service.doa.array import MicrophoneArray
 from service.doa.scoring import evaluate
 from service.inference.bundle import Bundle
 from service.inference.localizer import localizer_of
+from service.inference.results import DEFAULT_MAX_SOURCES
 
 WINDOWS_PER_RECORDING = 6
 ADDED_NOISE_DB = 0.0
 """Signal-to-noise ratio of the windows with added noise"""
-MAX_SOURCES = 3
-"""Largest count that an estimate may have, as the service's default"""
 
 AS_RECORDED = "as recorded"
 
@@ -70,7 +69,7 @@ def score_rows(scenes: LabelledScenes, seed: int) -> dict[str, list[Scene]]:
 def score(bundle: Bundle, array: MicrophoneArray, rows: Rows) -> Scores:
     """What the service answers with a bundle: directions with the count known, and the count."""
     localizer = localizer_of(bundle, array)
-    most = min(MAX_SOURCES, array.num_microphones - 1)
+    most = min(DEFAULT_MAX_SOURCES, array.num_microphones - 1)
     scores = {}
     for row, scenes in rows.items():
         found, right = [], []

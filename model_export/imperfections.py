@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.fft
 
+from model_export import SAMPLE_RATE
 from service.doa.types import FloatArray
 
 GAIN_MISMATCH_DB = 1.0
@@ -16,7 +17,6 @@ BAND_EDGE = (0.4, 0.95)
 """Share of the band that a band limit leaves"""
 LEVEL_DBFS = (-60.0, -6.0)
 """Peak level of quantised audio: whispers before distant microphones fill a few bits only"""
-SAMPLE_RATE = 16000
 
 
 def mismatch(rng: np.random.Generator, audio: FloatArray) -> FloatArray:

@@ -1,7 +1,7 @@
-"""What real arrays hear besides talkers: sensor, diffuse, coupled and machine noise.
+"""What real arrays hear besides talkers: sensor, diffuse and coupled noise.
 
 Diffuse noise takes its colour from a random slope or, where recordings are given, the spectrum of
-a recording in time; machine noise stands at one place of the room and is no talker.
+a recording in time.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import scipy.signal
 
 from service.doa.types import FloatArray
 
-SAMPLE_RATE = 16000
 FRAME = 512
 """Samples of the frames in which recorded noise lends diffuse noise its spectrum"""
 
@@ -65,19 +64,6 @@ def shaped_like(noise: FloatArray, recording: FloatArray) -> FloatArray:
     length = min(audio.shape[-1], noise.shape[-1])
     result[:, :length] = audio[:, :length]
     return result
-
-
-def fan(rng: np.random.Generator, num_samples: int) -> FloatArray:
-    """A steady fan, (T,) float32: harmonics of the blades' passing in the turbulence's noise."""
-    time = np.arange(num_samples) / SAMPLE_RATE
-    blades = rng.uniform(60, 400)
-    tones = np.zeros(num_samples)
-    for harmonic in range(1, 1 + int(rng.integers(2, 12))):
-        level = 10 ** (-rng.uniform(0.1, 0.6) * harmonic)
-        drift = 0.002 * np.sin(2 * np.pi * rng.uniform(0.1, 1) * time)
-        tones += level * np.sin(2 * np.pi * harmonic * blades * (time + drift / blades))
-    turbulence = colour(rng, rng.standard_normal((1, num_samples), dtype=np.float32))
-    return (unit_power(turbulence)[0] + rng.uniform(0, 2) * tones).astype(np.float32)
 
 
 def excerpt(

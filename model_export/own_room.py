@@ -17,9 +17,10 @@ import scipy.signal
 import soundfile
 from rich.progress import track
 
+from model_export import SAMPLE_RATE
 from model_export.labels import COLUMNS, LABELS
 from model_export.noise import unit_power
-from model_export.rooms import SAMPLE_RATE, RoomSpec, diffuse_noise, impulse_responses
+from model_export.rooms import RoomSpec, diffuse_noise, impulse_responses
 from model_export.scenes import convolve
 from service.doa.array import MicrophoneArray
 from service.doa.steering import unit_vectors

@@ -16,12 +16,12 @@ import numpy as np
 import pyroomacoustics as pra
 from rich.progress import track
 
+from model_export import SAMPLE_RATE
 from model_export.arrays import random_array
 from service.doa.array import SPEED_OF_SOUND
 from service.doa.steering import unit_vectors
 from service.doa.types import FloatArray
 
-SAMPLE_RATE = 16000
 RESPONSE_SAMPLES = 8000
 """Kept length of a response, 0.5 s; what comes later is 30 dB down in all but the deadest cases."""
 MAX_ORDER = 45

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
+from model_export import SAMPLE_RATE
 from model_export.noise import unit_power
-from model_export.rooms import SAMPLE_RATE, RoomSpec, diffuse_noise, impulse_responses
+from model_export.rooms import RoomSpec, diffuse_noise, impulse_responses
 from model_export.scenes import convolve
 from model_export.synthesis import synthetic_voice
 from service.doa.presets import preset

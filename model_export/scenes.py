@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 import scipy.fft
 
+from model_export import SAMPLE_RATE
+from model_export.fan import random_fan
 from model_export.imperfections import band_limit, crosstalk, mismatch, quantised
 from model_export.noise import (
     colour,
     coupled_noise,
     excerpt,
-    fan,
     sensor_noise,
     shaped_like,
     unit_power,
@@ -30,7 +31,6 @@ from service.doa.types import FloatArray
 WINDOW_SAMPLES = 16640
 """64 STFT frames of 512 samples every 256"""
 DRY_SAMPLES = 32000
-SAMPLE_RATE = 16000
 RESPONSE_DELAY = 40
 """Samples by which pyroomacoustics' fractional delays are late"""
 DIRECT_SECONDS = 1e-3
@@ -219,9 +219,9 @@ def _noise(
     mixture = unit_power(mixture)
     free = np.setdiff1d(np.arange(len(chunk["azimuth"][room])), chosen)
     if len(free) and rng.random() < (config.machine if len(chosen) else 4 * config.machine):
-        steady = fan(rng, DRY_SAMPLES)
+        steady = random_fan(rng, DRY_SAMPLES)
         responses = chunk["responses"][room, rng.choice(free)].astype(np.float32)
-        machine = convolve(steady, responses)[:, -shape[1] - responses.shape[1] :][:, : shape[1]]
+        machine = convolve(steady, responses)[:, DRY_SAMPLES - shape[1] : DRY_SAMPLES]
         mixture = unit_power(mixture + unit_power(machine) * np.float32(rng.uniform(0.3, 3)))
     return mixture
 

@@ -17,9 +17,10 @@ import numpy as np
 import soundfile
 from rich.progress import track
 
+from model_export import SAMPLE_RATE
 from model_export.arrays import named_array
 from model_export.noise import unit_power
-from model_export.rooms import SAMPLE_RATE, RoomSpec, impulse_responses, paper_room
+from model_export.rooms import RoomSpec, impulse_responses, paper_room
 from model_export.running_speech import active_power, mean_power, running_speech
 from model_export.scenes import WINDOW_SAMPLES, convolve
 from service.doa.array import MicrophoneArray

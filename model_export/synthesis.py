@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 import scipy.signal
 
+from model_export import SAMPLE_RATE
 from service.doa.types import FloatArray
 
-SAMPLE_RATE = 16000
 VOWELS = (
     (730, 1090, 2440),
     (530, 1840, 2480),

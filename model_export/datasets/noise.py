@@ -13,9 +13,9 @@ from typing import Literal
 import numpy as np
 import soundfile
 
+from model_export import SAMPLE_RATE
 from service.doa.types import FloatArray
 
-SAMPLE_RATE = 16000
 EVENTS = ("Baby_cry", "Dog_bark", "Person_sneeze", "Rooster")
 UNSTEADY = ("Clock_tick", "Fire_crackling", "Chainsaw", "doing_the_dishes")
 """Neither steady nor from one place for certain: left out"""

@@ -17,9 +17,9 @@ from typing import Literal
 import numpy as np
 import soundfile
 
+from model_export import SAMPLE_RATE
 from service.doa.types import FloatArray
 
-SAMPLE_RATE = 16000
 Split = Literal["train", "development", "heldout"]
 DEVELOPMENT_SHARE = 0.05
 """Share of the training speakers that choose checkpoints; the held-out ones only ever score"""

@@ -52,7 +52,7 @@ def find_candidates(field: Field) -> Candidates:
     descriptors = np.zeros((NUM_CANDIDATES, NUM_DESCRIPTORS), dtype=np.float32)
     for rank, finding in enumerate(findings):
         azimuths[rank] = finding.azimuth
-        descriptors[rank] = describe(field, findings[: rank + 1], first)
+        descriptors[rank] = describe(field, findings[: rank + 1])
     return Candidates(azimuths, descriptors, first)
 
 

@@ -62,8 +62,8 @@ class Finding:
         return self.peaks[0].azimuth
 
 
-def describe(field: Field, findings: Sequence[Finding], first: FloatArray) -> FloatArray:
-    """(D,) float32 of the last finding, given those before it and the first fused spectrum."""
+def describe(field: Field, findings: Sequence[Finding]) -> FloatArray:
+    """(D,) float32 of the last finding, given those before it."""
     found = findings[-1]
     total = field.total
     support = found.support / np.float32(total)
@@ -78,7 +78,7 @@ def describe(field: Field, findings: Sequence[Finding], first: FloatArray) -> Fl
             _spread(support.sum(axis=0)),
             _spread(support.sum(axis=1)),
             float(found.remaining.sum()) / total,
-            float(first[found.index]),
+            float(findings[0].fused[found.index]),
             min(earlier, default=np.pi) / np.pi,
             float((field.attention * field.dominance).sum()) / total,
             0.1 * float(np.log(total / field.attention.size + 1e-6)),

@@ -14,7 +14,7 @@ from service.inference.localizer import localizer_of
 
 EMBEDDED_MODELS = Path(__file__).parent.parent / "models"
 GOLDEN_TOLERANCE = 1e-3
-"""Of the spectrum's maximum of 1; OpenBLAS's kernels for CPUs from Nehalem to SkylakeX, each chosen by
+"""Of the spectrum's maximum of 1; OpenBLAS's kernels for CPUs from Nehalem to SkylakeX, chosen by
 OPENBLAS_CORETYPE, differ by 2e-6"""
 
 

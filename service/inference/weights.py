@@ -177,9 +177,9 @@ class WeightsLocalizer:
         # Windows unlike any in training, digital silence among them, give logits in the hundreds.
         confidence = 1 / (1 + np.exp(-np.clip(confidence_logits, -30, 30)))
         return [
-            _select(window, chances, num_sources)
+            select_sources(window, chances, num_sources)
             if num_sources is not None
-            else _select(window, chances, min(int(count), max_sources), LEAST_CONFIDENCE)
+            else select_sources(window, chances, min(int(count), max_sources), LEAST_CONFIDENCE)
             for window, chances, count in zip(candidates, confidence, counts, strict=True)
         ]
 
@@ -198,7 +198,7 @@ def analysis_of(bundle: Bundle) -> Analysis:
     )
 
 
-def _select(
+def select_sources(
     window: Candidates, confidence: FloatArray, count: int, least: float = 0.0
 ) -> WindowEstimate:
     """The ``count`` candidates found first that are confident enough, most confident first.
@@ -207,10 +207,8 @@ def _select(
     """
     found = np.flatnonzero(np.isfinite(window.azimuth))[:count]
     order = found[np.argsort(-confidence[found], kind="stable")]
-    bounds = [min(least, LEAST_FIRST), *[least] * len(order)]
-    kept = [
-        index for index, bound in zip(order, bounds, strict=False) if confidence[index] >= bound
-    ]
+    kept = [index for index in order[:1] if confidence[index] >= min(least, LEAST_FIRST)]
+    kept += [index for index in order[1:] if confidence[index] >= least]
     sources = tuple(
         Source(float(window.azimuth[index]), float(confidence[index])) for index in kept
     )

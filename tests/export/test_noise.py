@@ -10,8 +10,9 @@ import scipy.signal
 import soundfile
 
 from model_export.datasets.noise import noise_recordings
+from model_export.fan import random_fan
 from model_export.imperfections import band_limit, crosstalk, mismatch, quantised
-from model_export.noise import coupled_noise, excerpt, fan, shaped_like, unit_power
+from model_export.noise import coupled_noise, excerpt, shaped_like, unit_power
 from model_export.rooms import RoomSpec, impulse_responses, paper_room
 from model_export.scenes import Scene, direct_response
 from model_export.synthesis import sound_bursts
@@ -35,7 +36,7 @@ def share(audio: np.ndarray, low: float, high: float) -> float:
 
 def test_a_fan_is_steady_and_never_silent(rng: np.random.Generator) -> None:
     for _ in range(5):
-        audio = fan(rng, 32000)
+        audio = random_fan(rng, 32000)
         levels = np.square(audio[: 20 * 1600].reshape(20, -1)).mean(axis=1)
         assert levels.max() < 3 * levels.min()
 

@@ -9,10 +9,12 @@ from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.scoring import circular_error, maae
 from service.doa.types import FloatArray
+from service.inference.candidates import Candidates
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, localizer_of
 from service.inference.registry import BundleRegistry
 from service.inference.results import METHODS
+from service.inference.weights import LEAST_CONFIDENCE, select_sources
 
 
 @pytest.fixture(scope="module")
@@ -128,3 +130,22 @@ def test_windows_of_any_length(samples: int, registry: BundleRegistry, plane_wav
     window = plane_waves(array, [260.0], seconds=3.0, seed=4)[None, :, :samples]
     (estimate,) = localizer("neural", array, registry).estimate(window, 1, 3)
     assert np.rad2deg(estimate.sources[0].azimuth) == pytest.approx(260.0, abs=4.0)
+
+
+@pytest.mark.parametrize(
+    ("confidence", "kept"),
+    [
+        ([0.9, 0.6, 0.1], [0.9, 0.6]),
+        ([0.4, 0.9, 0.1], [0.9]),  # the surer one first, a further one only above a half
+        ([0.3, 0.1, 0.9], [0.3]),  # the third was not counted
+        ([0.1, 0.05, 0.9], []),
+    ],
+)
+def test_the_surest_counted_source_needs_less_than_further_ones(
+    confidence: list[float], kept: list[float]
+) -> None:
+    found = Candidates(np.array([0.0, 1.0, 2.0]), np.zeros((3, 1)), np.zeros(360))
+    selected = select_sources(found, np.array(confidence), 2, LEAST_CONFIDENCE)
+    assert [source.confidence for source in selected.sources] == kept
+    told = select_sources(found, np.array(confidence), 2)
+    assert len(told.sources) == 2  # whoever names the number gets it
