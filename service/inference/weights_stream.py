@@ -97,6 +97,8 @@ class _Block:
 class WeightsStream:
     """One stream of one array's spectra, with a `weights` bundle that has a stream graph."""
 
+    window_frames = WINDOW_BLOCKS * BLOCK_FRAMES
+
     def __init__(self, bundle: Bundle, array: MicrophoneArray) -> None:
         assert bundle.covariance_stream is not None
         analysis = analysis_of(bundle)
