@@ -32,7 +32,7 @@ class SessionEntry:
     pump: Callable[[], None]
     """Lets the session's owner act on what was done to it"""
     ready: Ready | None = None
-    client: str | None = None
+    client_name: str | None = None
     watchers: list[Watcher] = field(default_factory=list)
 
     def watch(self, watcher: Watcher) -> None:
@@ -47,8 +47,8 @@ class SessionEntry:
 
     def observe(self, message: ServerMessage) -> None:
         """Take a message of the session."""
-        if isinstance(message, Ready):
-            self.ready = message
+        if isinstance(message, Ready) and self.session is not None and self.session.start:
+            self.ready, self.client_name = message, self.session.start.client
         for watcher in tuple(self.watchers):
             watcher(message)
 
@@ -104,8 +104,6 @@ class SessionRegistry:
 
     def end(self, entry: SessionEntry) -> None:
         """Take a session out; its results stay for a while, if it had any."""
-        if entry.session is not None and entry.session.start is not None:
-            entry.client = entry.session.start.client
         entry.session = None
         del self._running[entry.id]
         if not self._running:
