@@ -252,7 +252,7 @@ def test_isolated_unsure_detections_give_no_track() -> None:
 
 def test_unsure_detections_that_repeat_become_a_track() -> None:
     tracker = Tracker()
-    counts = [len(tracker.update([Detection(1.0, 0.5)], 0.1 * step)) for step in range(10)]
+    counts = [len(tracker.update([Detection(1.0, 0.5)], 0.1 * step)) for step in range(15)]
     assert counts[0] == 0
     assert counts[-1] == 1
 
