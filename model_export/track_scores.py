@@ -143,9 +143,7 @@ def _add_update(
     tally.voiced += len(voiced)
     tally.missed += detection(found, voiced, float(MISSED)).misses
     # A track of a talker who pauses just now is no mistake.
-    resting = sum(
-        track.id in owners and not update.voiced[owners[track.id]] for track in active
-    )
+    resting = sum(track.id in owners and not update.voiced[owners[track.id]] for track in active)
     tally.count_right += len(active) - resting == len(voiced)
     tally.ospa += ospa(
         np.array([t.azimuth for t in active if t.id not in owners or update.voiced[owners[t.id]]]),

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from service.doa.kalman import AzimuthFilter
+from service.doa.kalman import AzimuthFilter, wrapped
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class TrackerParameters:
     fastest: float = math.radians(120.0)
     """Radians per second: 1 m/s at half a metre"""
     lag_s: float = 0.3
-    """Seconds by which detections of a moving talker are late: their window's middle"""
+    """Seconds by which tracks of a moving talker are late: half a window and the filter's delay"""
     lag_spread_s: float = 0.2
     """Seconds, standard deviation of that: loud syllables hold a detection back while they last"""
     gate: float = 12.0
@@ -125,7 +125,7 @@ class Hypothesis:
     @classmethod
     def of(cls, parameters: TrackerParameters, detection: Detection, time: float) -> Hypothesis:
         """A track that begins with a detection."""
-        azimuth = detection.azimuth % (2 * math.pi)
+        azimuth = wrapped(detection.azimuth)
         state = AzimuthFilter(azimuth, 0.0, 0.0, 0.0, parameters.spread**2)
         evidence = min(log_odds(detection.confidence), parameters.most_evidence)
         new = cls(parameters, state, evidence, time, time, time)
@@ -188,7 +188,7 @@ class Hypothesis:
         ahead = self.parameters.lag_s * state.velocity * power / (power + state.velocity_variance)
         return Track(
             id=self.id,
-            azimuth=(state.azimuth + ahead) % (2 * math.pi),
+            azimuth=wrapped(state.azimuth + ahead),
             velocity=state.velocity,
             variance=state.azimuth_variance,
             confidence=1 / (1 + math.exp(-self.evidence)),
