@@ -11,11 +11,12 @@ from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
 from service import __version__
-from service.api import catalog, localize, probes
+from service.api import catalog, localize, noise, probes
 from service.api.limits import BodyLimit
 from service.api.problems import Problem, install_problem_handlers
 from service.api.state import ServiceState
 from service.api.workers import WorkerPool
+from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.settings import Settings, load_settings
 from service.startup import load_registry
@@ -31,6 +32,7 @@ y left, z up). Positions are metres, times seconds. Errors are RFC 9457 problems
 
 TAGS = [
     {"name": "localization", "description": "Recordings in, directions out."},
+    {"name": "noise", "description": "Profiles of the robot's own noise."},
     {"name": "catalog", "description": "What requests may name."},
     {"name": "service", "description": "Probes."},
 ]
@@ -48,7 +50,12 @@ class DocumentedApp(FastAPI):
 def create_app(settings: Settings | None = None, registry: BundleRegistry | None = None) -> FastAPI:
     """The application; without a registry it loads its bundles at startup."""
     settings = settings or load_settings()
-    state = ServiceState(settings, WorkerPool(settings.workers, settings.queue), registry)
+    state = ServiceState(
+        settings,
+        WorkerPool(settings.workers, settings.queue),
+        registry,
+        NoiseStore(settings.noise_folder),
+    )
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -70,7 +77,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
     app.state.service = state
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
     install_problem_handlers(app)
-    for router in (localize.router, catalog.router, probes.router):
+    for router in (localize.router, noise.router, catalog.router, probes.router):
         app.include_router(router)
     return app
 

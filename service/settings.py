@@ -68,6 +68,8 @@ class Settings(BaseSettings):
     """Longest recording in seconds"""
     max_channels: int = Field(64, ge=2, le=1024)
     """Most channels of a recording"""
+    noise_folder: Path | None = None
+    """Folder in which noise profiles outlive the process; None keeps them in memory"""
     log_level: LogLevel = "info"
     """Least severe messages that are logged"""
 

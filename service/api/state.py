@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from fastapi import Request
 
 from service.api.workers import WorkerPool
 from service.audio import AudioLimits
 from service.errors import NotReady
+from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.settings import Settings
 
@@ -21,6 +22,8 @@ class ServiceState:
     workers: WorkerPool
     registry: BundleRegistry | None = None
     """None until the bundles are loaded and self-tested"""
+    noise: NoiseStore = field(default_factory=NoiseStore)
+    """Profiles of robots' own noises"""
 
     @property
     def audio_limits(self) -> AudioLimits:

@@ -14,6 +14,7 @@ from service.doa.steering import azimuth_grid, resolution, steering_vectors
 from service.doa.stft import Stft
 from service.doa.subspace import eigenvector_power
 from service.doa.types import ComplexArray, FloatArray
+from service.doa.whitening import NoiseCovariance, Whitening
 from service.inference.bundle import Bundle
 from service.inference.candidates import Candidates, find_candidates
 from service.inference.descriptors import Field
@@ -50,7 +51,13 @@ class Analysis:
 class CandidateSearch:
     """Windows of one array's audio to candidate sources, before anything is counted."""
 
-    def __init__(self, covariance: Engine, analysis: Analysis, array: MicrophoneArray) -> None:
+    def __init__(
+        self,
+        covariance: Engine,
+        analysis: Analysis,
+        array: MicrophoneArray,
+        noise: NoiseCovariance | None = None,
+    ) -> None:
         self._covariance = covariance
         self._array = array
         self._analysis = analysis
@@ -58,6 +65,10 @@ class CandidateSearch:
         frequencies = analysis.stft.frequencies[self._bins]
         grid = azimuth_grid(analysis.grid_size)
         self._steering = steering_vectors(array.positions, frequencies, grid)
+        self._whitening: Whitening | None = None
+        if noise is not None:
+            self._whitening = Whitening.fitting(noise, array, analysis.stft).band(self._bins)
+            self._steering = self._whitening.steering(self._steering)
         # Small arrays see all directions alike: theirs would be one broad peak otherwise.
         self._resolution = resolution(array.positions, frequencies)
         self._floor = analysis.floor * self._resolution
@@ -82,11 +93,13 @@ class CandidateSearch:
         return Field(cells, attended, dominance, self._array.num_microphones, self._resolution)
 
     def spectra(self, windows: FloatArray) -> ComplexArray:
-        """STFT of the band in whole blocks of frames: (B, N, F, L) complex64.
+        """STFT of the band in whole blocks of frames: (B, N, F, L) complex64, whitened.
 
         Up to half a block of frames at the end is left out, more is padded with zeros.
         """
         spectra = self._analysis.stft.transform(windows)[..., self._bins, :]
+        if self._whitening is not None:
+            spectra = self._whitening.apply(spectra)
         frames = spectra.shape[-1]
         wanted = max(1, round(frames / BLOCK_FRAMES)) * BLOCK_FRAMES
         if wanted > frames:
@@ -152,9 +165,11 @@ def principal_eigenvectors(covariance: ComplexArray) -> tuple[ComplexArray, Floa
 class WeightsLocalizer:
     """Windows of one array's audio to directions, with a `weights` bundle."""
 
-    def __init__(self, bundle: Bundle, array: MicrophoneArray) -> None:
+    def __init__(
+        self, bundle: Bundle, array: MicrophoneArray, noise: NoiseCovariance | None = None
+    ) -> None:
         self._source_count = bundle.source_count
-        self._search = CandidateSearch(bundle.covariance, analysis_of(bundle), array)
+        self._search = CandidateSearch(bundle.covariance, analysis_of(bundle), array, noise)
 
     def estimate(
         self, windows: FloatArray, num_sources: int | None, max_sources: int
