@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Literal
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Request, Response
 
 from service import __version__
 from service.api.problems import problem_responses
 from service.api.schemas import Answer
 from service.api.state import state_of
+from service.asyncapi import document_json
 from service.errors import Draining, NotReady
 
 router = APIRouter(tags=["service"])
@@ -47,6 +48,12 @@ async def readyz(request: Request) -> StatusAnswer:
     return StatusAnswer()
 
 
+@router.get("/asyncapi.json", summary="The stream's contract", response_class=Response)
+async def asyncapi() -> Response:
+    """The AsyncAPI document of the WebSocket `/stream`."""
+    return Response(document_json(), media_type="application/json")
+
+
 @router.get("/", summary="Name, version and paths")
 async def root() -> RootAnswer:
     """Where to go from here."""
@@ -55,7 +62,10 @@ async def root() -> RootAnswer:
         "models": "/models",
         "arrays": "/arrays",
         "noise": "/noise",
+        "stream": "/stream",
+        "sessions": "/sessions",
         "documentation": "/docs",
         "openapi": "/openapi.json",
+        "asyncapi": "/asyncapi.json",
     }
     return RootAnswer(version=__version__, links=paths)
