@@ -1,0 +1,32 @@
+"""What the tests of the client and of its command share."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from scripted_service import Script, ScriptedService
+
+
+@pytest.fixture
+def service_of() -> Iterator[Callable[..., ScriptedService]]:
+    """Start scripted services, which are closed after the test."""
+    started: list[ScriptedService] = []
+
+    def start(*scripts: Script, **options: Any) -> ScriptedService:
+        started.append(ScriptedService(*scripts, **options))
+        return started[-1]
+
+    yield start
+    for service in started:
+        service.close()
+
+
+@pytest.fixture
+def unused_tcp_port() -> int:
+    """A port where nobody listens."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
