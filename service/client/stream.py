@@ -28,6 +28,8 @@ from service.protocol.client_messages import Start
 from service.protocol.server_messages import Ready, Result, Summary
 
 T = TypeVar("T")
+END_S = 1.0
+"""Seconds for other threads' calls to return when the stream is closed"""
 
 
 class StreamClient:
@@ -113,7 +115,7 @@ class StreamClient:
         loop, thread = self._loop, self._thread
         if loop is None or thread is None or loop.is_closed():
             return
-        self._call(self._client.close())
+        self._call(self._end())
         loop.call_soon_threadsafe(loop.stop)
         thread.join()
         loop.close()
@@ -195,6 +197,15 @@ class StreamClient:
         traceback: TracebackType | None,
     ) -> None:
         self.close()
+
+    async def _end(self) -> None:
+        """Close, and let the calls of other threads return before the loop stops."""
+        await self._client.close()
+        others = asyncio.all_tasks() - {asyncio.current_task()}
+        if others:
+            _, hanging = await asyncio.wait(others, timeout=END_S)
+            for task in hanging:
+                task.cancel()
 
     def _call(self, coroutine: Coroutine[Any, Any, T]) -> T:
         """Run in the thread's loop; an interrupted caller takes its call back."""

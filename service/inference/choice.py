@@ -9,7 +9,7 @@ from service.doa.presets import RAW_CHANNELS
 from service.errors import ChannelMismatch, GeometryMismatch, TooManySources
 from service.inference.bundle import Bundle
 from service.inference.registry import BundleRegistry
-from service.inference.results import Method
+from service.inference.results import AudioWarning, Method
 
 
 def choose_channels(
@@ -86,3 +86,20 @@ def choose_method(
             "choose norm_music, music or srp_phat"
         )
     return "norm_music", None
+
+
+def method_warnings(
+    asked: Method | None, method: Method, array: MicrophoneArray
+) -> list[AudioWarning]:
+    """What the choice of the method and the array's shape mean for the directions."""
+    found = []
+    if asked is None and method != "neural":
+        detail = f"no loaded model fits the array {array.name}: {method} was used instead"
+        found.append(AudioWarning("no_model_for_array", detail))
+    if array.linear:
+        detail = (
+            "all microphones lie on one line: every direction has a mirror image behind the line, "
+            "which is left out"
+        )
+        found.append(AudioWarning("front_back_ambiguous", detail))
+    return found

@@ -12,11 +12,17 @@ from service.doa.array import MicrophoneArray
 from service.doa.diagnostics import ChannelDiagnostics
 from service.doa.stft import Stft
 from service.doa.types import FloatArray
-from service.inference.choice import check_num_sources, choose_channels, choose_method
+from service.inference.choice import (
+    check_num_sources,
+    choose_channels,
+    choose_method,
+    method_warnings,
+)
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, localizer_of
 from service.inference.registry import BundleRegistry
 from service.inference.results import (
+    SILENCE,
     AudioWarning,
     LocalizeOptions,
     Method,
@@ -27,8 +33,6 @@ from service.inference.results import (
 from service.inference.summary import summarise
 from service.inference.windows import Window, windows
 
-SILENCE = 1e-9
-"""Mean square of -90 dBFS, below the rounding noise of 14 bits: nothing was recorded"""
 BATCH_WINDOWS = 4
 """Windows per network call; more gain nothing on one thread and cost memory"""
 
@@ -112,13 +116,4 @@ def _warnings(
     diagnostics: ChannelDiagnostics,
 ) -> list[AudioWarning]:
     found = [AudioWarning(f.code, f.detail) for f in diagnostics.findings(array)]
-    if options.method is None and method != "neural":
-        detail = f"no loaded model fits the array {array.name}: {method} was used instead"
-        found.append(AudioWarning("no_model_for_array", detail))
-    if array.linear:
-        detail = (
-            "all microphones lie on one line: every direction has a mirror image behind the line, "
-            "which is left out"
-        )
-        found.append(AudioWarning("front_back_ambiguous", detail))
-    return found
+    return found + method_warnings(options.method, method, array)

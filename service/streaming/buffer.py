@@ -53,7 +53,10 @@ class AudioBuffer:
             if held > frames:
                 self._pieces.appendleft(self._rest(piece, frames))
                 data = piece.data[: frames * self._frame_bytes]
-                piece, held = Piece(piece.position, data, piece.arrived, piece.capture_time_ns), frames
+                piece, held = (
+                    Piece(piece.position, data, piece.arrived, piece.capture_time_ns),
+                    frames,
+                )
             taken.append(piece)
             frames -= held
             self.frames -= held

@@ -40,6 +40,9 @@ def test_every_path_of_the_protocol_is_there(document: Any) -> None:
         "/arrays",
         "/livez",
         "/readyz",
+        "/sessions",
+        "/sessions/{session_id}/events",
+        "/sessions/{session_id}/export",
         "/",
     }
 

@@ -44,5 +44,7 @@ class Orientation:
             return spectrum
         size = spectrum.size
         places = (np.arange(size) - self.yaw / (2 * math.pi) * size) % size
-        turned: FloatArray = np.interp(places, np.arange(size + 1), np.append(spectrum, spectrum[0]))
+        turned: FloatArray = np.interp(
+            places, np.arange(size + 1), np.append(spectrum, spectrum[0])
+        )
         return turned
