@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import socket
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from scripted_service import Script, ScriptedService
+import uvicorn
+from scripted_service import TIMEOUT_S, Script, ScriptedService
+
+from service.app import create_app
+from service.server import Server
+from service.settings import Settings
 
 
 @pytest.fixture
@@ -30,3 +36,25 @@ def unused_tcp_port() -> int:
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
         return int(found.getsockname()[1])
+
+
+@pytest.fixture(scope="session")
+def real_service() -> Iterator[str]:
+    """The address of the service itself, on a free port."""
+    app = create_app(Settings(workers=1))
+    started, address = threading.Event(), []
+
+    def announce(url: str) -> None:
+        address.append(url)
+        started.set()
+
+    config = uvicorn.Config(
+        app, port=0, log_level="error", ws="websockets-sansio", ws_per_message_deflate=False
+    )
+    server = Server(config, app.state.service, announce)
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    assert started.wait(TIMEOUT_S)
+    yield address[0]
+    server.should_exit = True
+    thread.join(TIMEOUT_S)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import asyncio
 import io
 import json
-import threading
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +12,7 @@ import httpx2
 import numpy as np
 import pytest
 import soundfile
-import uvicorn
-from scripted_service import TIMEOUT_S
 
-from service.app import create_app
 from service.client import (
     AsyncLocalizationClient,
     LocalizationClient,
@@ -27,29 +22,11 @@ from service.client import (
 from service.doa.array import MicrophoneArray
 from service.doa.presets import PRESETS
 from service.errors import InvalidOption
-from service.settings import Settings
 
 
-@pytest.fixture(scope="module")
-def url() -> Iterator[str]:
-    """The real service on a free port."""
-    server = uvicorn.Server(
-        uvicorn.Config(create_app(Settings(workers=1)), port=0, log_level="error", ws="none")
-    )
-    started = threading.Event()
-    startup = server.startup
-
-    async def tell(*args: Any, **options: Any) -> None:
-        await startup(*args, **options)
-        started.set()
-
-    server.startup = tell
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    assert started.wait(TIMEOUT_S)
-    yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
-    server.should_exit = True
-    thread.join(TIMEOUT_S)
+@pytest.fixture
+def url(real_service: str) -> str:
+    return real_service
 
 
 @pytest.fixture
