@@ -81,6 +81,8 @@ class LiveTable:
 
     def close(self) -> None:
         self._live.stop()
+        if not self._console.is_terminal:
+            self._console.print()  # the last state has no newline there
 
     def _note(self, event: StreamEvent) -> None:
         words = note(event)

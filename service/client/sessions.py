@@ -120,7 +120,7 @@ class Sessions:
         )
 
     def _begin(self, ready: Ready) -> None:
-        self.ready = ready
+        self.ready, self.summary = ready, None
         self.outgoing.begin()
         self.inbox.put(ready)
 
