@@ -64,6 +64,7 @@ class Connection:
         self._streams = state.streams
         self._outbox = Outbox()
         self._room = asyncio.Event()
+        self._room.set()  # the first message has room before anything was pumped
         reporter = self._reporter = Reporter(self._emit)
         self.session = Session(
             self._streams.new_id(),

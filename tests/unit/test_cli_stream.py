@@ -1,4 +1,4 @@
-"""``neuralmusic stream`` as users meet it: outputs, devices, interruption, one sentence for errors."""
+"""``neuralmusic stream`` as users meet it: outputs, devices, interruption, errors in a sentence."""
 
 from __future__ import annotations
 
