@@ -65,10 +65,10 @@ class FileSource:
         self._recording.close()
 
     def _chunks(self) -> Iterator[FloatArray]:
-        """(T, N) float32, 20 ms each."""
-        length = max(int(CHUNK_S * self._rate), 1)
+        """(T, N) float32, in real time 20 ms each."""
         for block in self._recording.blocks(range(self.channels), self._rate):
             frames = block.T.copy()
+            length = max(int(CHUNK_S * self._rate), 1) if self.live else len(frames)
             for start in range(0, len(frames), length):
                 yield frames[start : start + length]
 

@@ -20,8 +20,6 @@ SUMMARY = "stream a recording or a microphone array to a running service"
 
 URL = "http://127.0.0.1:8000"
 OUTPUTS = ("table", "jsonl", "csv", "odas")
-DEVICE_WAIT_S = 30.0
-"""Seconds that a robot's microphone waits for a service that starts at the same time"""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -56,6 +54,7 @@ def _add_session(parser: argparse.ArgumentParser) -> None:
 
     add = parser.add_argument_group("session").add_argument
     add("--url", default=URL, help=f"the service (default: {URL})")
+    add("--wait", type=float, default=0.0, metavar="SECONDS", help="wait for it this long")
     add("--token-file", type=Path, metavar="FILE", help="a file with the service's key")
     add("--method", choices=get_args(StreamMethod), help="neural where a model fits the array")
     add("--model", metavar="NAME", help="the model bundle")
@@ -150,7 +149,7 @@ def _stream(args: argparse.Namespace, source: Source) -> StreamClient:
     return StreamClient(
         args.url,
         token=args.token_file.read_text().strip() if args.token_file else None,
-        wait_s=DEVICE_WAIT_S if args.device is not None else 0.0,
+        wait_s=args.wait,
         **{name: value for name, value in fields.items() if value is not None},
     )
 

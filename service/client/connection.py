@@ -56,9 +56,9 @@ class Timeouts:
     open_s: float = 10.0
     """For the handshake, and again for ``ready``"""
     close_s: float = 5.0
-    ping_interval_s: float = 5.0
+    ping_interval_s: float = 2.0
     """Between pings of the connection, which notice a vanished service"""
-    ping_timeout_s: float = 10.0
+    ping_timeout_s: float = 5.0
     """Without an answer to such a ping"""
 
 

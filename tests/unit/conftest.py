@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import socket
-import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-import uvicorn
-from scripted_service import TIMEOUT_S, Script, ScriptedService
-
-from service.app import create_app
-from service.server import Server
-from service.settings import Settings
+from running_service import RunningService
+from scripted_service import Script, ScriptedService
 
 
 @pytest.fixture
@@ -41,20 +36,6 @@ def unused_tcp_port() -> int:
 @pytest.fixture(scope="session")
 def real_service() -> Iterator[str]:
     """The address of the service itself, on a free port."""
-    app = create_app(Settings(workers=1))
-    started, address = threading.Event(), []
-
-    def announce(url: str) -> None:
-        address.append(url)
-        started.set()
-
-    config = uvicorn.Config(
-        app, port=0, log_level="error", ws="websockets-sansio", ws_per_message_deflate=False
-    )
-    server = Server(config, app.state.service, announce)
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    assert started.wait(TIMEOUT_S)
-    yield address[0]
-    server.should_exit = True
-    thread.join(TIMEOUT_S)
+    running = RunningService()
+    yield running.url
+    running.stop()

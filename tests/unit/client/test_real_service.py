@@ -7,9 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from running_service import RunningService
 from scripted_service import TIMEOUT_S
 
-from service.client import AsyncStreamClient, LocalizationClient, StreamClient, StreamRefused
+from service.client import (
+    AsyncStreamClient,
+    Backoff,
+    LocalizationClient,
+    Reconnecting,
+    StreamClient,
+    StreamRefused,
+)
 from service.doa.array import MicrophoneArray
 from service.protocol.server_messages import (
     Closing,
@@ -122,3 +130,33 @@ def test_the_service_s_refusal_is_its_own_sentence(
     with pytest.raises(StreamRefused, match="no array preset is called 'round'") as caught:
         StreamClient(real_service, **options(square, array="round")).open()
     assert (caught.value.code, caught.value.close_code) == ("array_unknown", 4400)
+
+
+def test_a_robot_survives_a_restart_of_the_service(square: MicrophoneArray, talk: Any) -> None:
+    first = RunningService()
+    asked = options(square, overflow="drop_oldest", backoff=Backoff(0.05, 0.2))
+    with StreamClient(first.url, **asked) as stream:
+        stream.send(talk[:8000])
+        events: list[Any] = []
+
+        def until(kind: type) -> Any:
+            while not (events and isinstance(events[-1], kind)):
+                event = stream.receive(TIMEOUT_S)
+                assert event is not None
+                events.append(event)
+            return events[-1]
+
+        before = until(Result)
+        assert isinstance(events[0], Ready)
+        first.stop()
+        gone = until(Reconnecting)
+        assert "shutting down" in gone.reason
+        second = RunningService(first.port)
+        after = until(Ready)
+        stream.send(talk[:8000])
+        stream.stop(TIMEOUT_S)
+        events.extend(stream)
+    second.stop()
+    assert after.session != events[0].session
+    assert isinstance(before, Result)
+    assert any(isinstance(event, Result) for event in events[events.index(after) :])
