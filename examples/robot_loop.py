@@ -45,7 +45,7 @@ def main(path: str, array: str, url: str = "http://127.0.0.1:8000") -> None:
                 active = [s for result in results[-1:] for s in result.sources if s.active]
                 if active:
                     turn(max(active, key=lambda source: source.confidence).azimuth_deg)
-            print(f"heard {len(stream.stop().sources)} sources")
+            print(f"sources heard: {len(stream.stop().sources)}")
 
 
 if __name__ == "__main__":

@@ -192,8 +192,8 @@ def summary_line(summary: Summary) -> str:
     lost = summary.dropped_s + summary.gap_s
     parts = [
         f"{summary.audio_s:.1f} s of audio",
-        f"{summary.results} results",
-        f"{len(summary.sources)} sources",
+        f"{summary.results} result{'s' if summary.results != 1 else ''}",
+        f"{len(summary.sources)} source{'s' if len(summary.sources) != 1 else ''}",
         *([f"{lost:.1f} s lost"] if lost else []),
         *(f"{code} {count}x" for code, count in summary.warnings.items()),
     ]

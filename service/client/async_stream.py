@@ -257,17 +257,27 @@ class AsyncStreamClient:
         StreamClosed, StreamRefused, ServiceUnreachable
             After the last event, where the stream ended with an error.
         """
-        return await self._sessions.inbox.get(timeout_s)
+        await self.wait(timeout_s)
+        return self._sessions.inbox.take()
+
+    async def wait(self, timeout_s: float | None = None) -> None:
+        """Wait until there is an event to receive, or the stream has ended."""
+        await self._sessions.inbox.wait(timeout_s)
+
+    def take(self) -> StreamEvent | None:
+        """``receive`` without waiting, from any thread."""
+        return self._sessions.inbox.take()
 
     def received(self) -> list[StreamEvent]:
         """Everything that has come and was not read, without waiting."""
+        self._check_open()
         events: list[StreamEvent] = []
-        while (event := self._sessions.inbox.take()) is not None:
+        while (event := self.take()) is not None:
             events.append(event)
         return events
 
     async def __aiter__(self) -> AsyncIterator[StreamEvent]:
-        while (event := await self._sessions.inbox.get()) is not None:
+        while (event := await self.receive()) is not None:
             yield event
 
     async def __aenter__(self) -> Self:
@@ -281,10 +291,13 @@ class AsyncStreamClient:
     ) -> None:
         await self.close()
 
-    def _check_running(self) -> None:
+    def _check_open(self) -> asyncio.Task[None]:
         if self._task is None:
             raise InvalidOption(NOT_OPEN)
-        if self._task.done():
+        return self._task
+
+    def _check_running(self) -> None:
+        if self._check_open().done():
             raise self._sessions.error or StreamClosed(
                 "stopped", "Stream stopped", "the stream has ended: open another for more audio"
             )

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import threading
 from collections import deque
 from dataclasses import dataclass
 
-from service.errors import DoaError
 from service.protocol.server_messages import AnyServerMessage, OdasSsl, OdasSst, Result
 
 RESULTS = (Result, OdasSsl, OdasSst)
@@ -28,7 +29,7 @@ StreamEvent = AnyServerMessage | Reconnecting
 
 
 class Inbox:
-    """Events of all sessions in their order, for one reader on the event loop.
+    """Events of all sessions in their order, filled on the event loop, taken by any thread.
 
     Parameters
     ----------
@@ -39,6 +40,7 @@ class Inbox:
 
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
+        self._lock = threading.Lock()
         self._events: deque[StreamEvent] = deque()
         self._changed = asyncio.Event()
         self._error: BaseException | None = None
@@ -52,9 +54,10 @@ class Inbox:
 
     def put(self, event: StreamEvent) -> None:
         """Append an event."""
-        if len(self._events) >= self._capacity:
-            self._drop()
-        self._events.append(event)
+        with self._lock:
+            if len(self._events) >= self._capacity:
+                self._drop()
+            self._events.append(event)
         self._changed.set()
 
     def end(self, error: BaseException | None) -> None:
@@ -70,22 +73,23 @@ class Inbox:
         DoaError
             Where nothing waits and the stream ended with an error.
         """
-        if self._events:
-            return self._events.popleft()
+        with self._lock:
+            if self._events:
+                return self._events.popleft()
         if self._ended and self._error is not None:
             raise self._error
         return None
 
-    async def get(self, timeout_s: float | None = None) -> StreamEvent | None:
-        """Wait for the oldest event; None at the timeout and at the orderly end."""
-        try:
+    async def wait(self, timeout_s: float | None = None) -> None:
+        """Wait until ``take`` has something to give, or nothing will come.
+
+        Whoever waits takes nothing, so a wait that is given up loses nothing.
+        """
+        with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(timeout_s):
                 while not (self._events or self._ended):
                     self._changed.clear()
                     await self._changed.wait()
-        except TimeoutError:
-            return None
-        return self.take()
 
     def _drop(self) -> None:
         for index, event in enumerate(self._events):
@@ -94,8 +98,3 @@ class Inbox:
                 self.results_dropped += 1
                 return
         self._events.popleft()
-
-
-def describe(error: BaseException) -> str:
-    """The sentence of an error."""
-    return error.detail if isinstance(error, DoaError) else str(error) or type(error).__name__

@@ -173,15 +173,12 @@ class StreamClient:
         StreamClosed, StreamRefused, ServiceUnreachable
             After the last event, where the stream ended with an error.
         """
-        return self._call(self._client.receive(timeout_s))
+        self._call(self._client.wait(timeout_s))
+        return self._client.take()  # here: a wait that is interrupted must not lose an event
 
     def received(self) -> list[StreamEvent]:
         """Everything that has come and was not read, without waiting."""
-
-        async def take() -> list[StreamEvent]:
-            return self._client.received()
-
-        return self._call(take())
+        return self._client.received()
 
     def __iter__(self) -> Iterator[StreamEvent]:
         while (event := self.receive()) is not None:

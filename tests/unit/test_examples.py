@@ -48,7 +48,7 @@ def test_the_robot_turns_to_the_talker(
     monkeypatch.setattr(example, "turn", turned.append)
     example.main(str(path), square.name, real_service)
     assert turned[-1] == pytest.approx(60, abs=5)
-    assert capsys.readouterr().out == "heard 1 sources\n"
+    assert capsys.readouterr().out == "sources heard: 1\n"
 
 
 class Message:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from typing import Any
 
@@ -192,6 +193,19 @@ def test_many_threads_fill_one_queue() -> None:
         thread.join()
     sequences = [FrameHeader.unpack(waiting.take()).sequence for _ in range(2000)]
     assert sequences == list(range(2000))
+
+
+def test_a_wait_that_is_given_up_loses_nothing() -> None:
+    async def wait_and_give_up() -> object:
+        inbox = Inbox(3)
+        waiting = asyncio.create_task(inbox.wait())
+        await asyncio.sleep(0)
+        inbox.put(result(1))
+        await waiting  # whoever waited does not take it
+        await inbox.wait(timeout_s=0)
+        return inbox.take()
+
+    assert asyncio.run(wait_and_give_up()) == result(1)
 
 
 def test_results_make_room_for_what_is_said_once() -> None:
