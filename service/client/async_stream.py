@@ -205,8 +205,8 @@ class AsyncStreamClient:
         del current["type"]
         start = read_start(None, current)
         fields = {name: getattr(start.output, name) for name in changes}
+        self._sessions.start = start  # before it is sent: a session may be lost at any time
         self._control(Update(type="update", output=OutputUpdate.model_construct(**fields)))
-        self._sessions.start = start
 
     def flush(self) -> None:
         """Localize what was sent so far now; ``Flushed`` follows the last of these results."""

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
+import soundfile
 from running_service import RunningService
 from scripted_service import Script, ScriptedService
+from stream_command import ARRAY, RATE
+
+from service.doa.array import MicrophoneArray
 
 
 @pytest.fixture
@@ -39,3 +44,15 @@ def real_service() -> Iterator[str]:
     running = RunningService()
     yield running.url
     running.stop()
+
+
+@pytest.fixture
+def talk_wav(tmp_path: Path, square: MicrophoneArray, plane_waves: Any) -> str:
+    path = tmp_path / "talker.wav"
+    soundfile.write(path, plane_waves(square, [60], seconds=2.0).T, RATE)
+    return str(path)
+
+
+@pytest.fixture
+def stream_flags(real_service: str, talk_wav: str) -> list[str]:
+    return [talk_wav, "--array", ARRAY, "--url", real_service, "--method", "norm_music"]
