@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import os
 import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -234,10 +235,17 @@ def _unreachable(url: str, error: Exception, timeout_s: float) -> ServiceUnreach
         return ServiceUnreachable(f"{url} did not answer within {timeout_s:g} s")
     if isinstance(error, OSError):
         return ServiceUnreachable(
-            f"nothing answers at {url} ({error.strerror or error}): is the service running there "
+            f"nothing answers at {url} ({_reason(error)}): is the service running there "
             "(neuralmusic serve)?"
         )
     return ServiceUnreachable(f"{url} does not answer as a WebSocket: {error}")
+
+
+def _reason(error: OSError) -> str:
+    """The system's word; asyncio's own repeats the address, once for each that it tried."""
+    if isinstance(error, socket.gaierror) or error.errno is None:
+        return error.strerror or "no connection"
+    return os.strerror(error.errno).lower()
 
 
 def _shrink_send_buffer(websocket: ClientConnection, size: int) -> None:

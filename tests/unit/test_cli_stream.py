@@ -123,7 +123,7 @@ def test_a_session_that_fails_ends_with_its_sentence(
 ) -> None:
     def script(peer: Peer) -> None:
         peer.begin()
-        peer.hear()
+        peer.audio_until("stop")
         peer.say(result(1, 45.0), error("internal", 1011))
         peer.close(1011)
 
