@@ -54,6 +54,7 @@ async def root() -> RootAnswer:
         "localize": "/localize",
         "models": "/models",
         "arrays": "/arrays",
+        "noise": "/noise",
         "documentation": "/docs",
         "openapi": "/openapi.json",
     }

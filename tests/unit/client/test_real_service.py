@@ -20,6 +20,7 @@ from service.client import (
 )
 from service.doa.array import MicrophoneArray
 from service.protocol.server_messages import (
+    Calibrated,
     Closing,
     Flushed,
     OdasSsl,
@@ -90,6 +91,11 @@ def test_everything_that_a_session_may_be_asked(
             await stream.send(talk)
             stream.flush()
             await until(Flushed)
+            stream.calibrate(1.0)
+            noise = np.random.default_rng(3).standard_normal(talk.shape).astype(np.float32)
+            await stream.send(1e-3 * noise)
+            await until(Calibrated)
+            assert events[-1].seconds >= 1.0
             await stream.stop(TIMEOUT_S)
             return events + stream.received()
 
