@@ -33,7 +33,9 @@ def validator(document: Any, message: str) -> Draft202012Validator:
 
 
 def test_the_checked_in_document_is_the_models() -> None:
-    assert ASYNCAPI.read_text() == document_json(), "run: python -m service.asyncapi > asyncapi.json"
+    assert ASYNCAPI.read_text() == document_json(), (
+        "run: python -m service.asyncapi > asyncapi.json"
+    )
 
 
 def test_the_tables_of_the_protocol_are_the_models() -> None:

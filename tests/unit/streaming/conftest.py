@@ -1,0 +1,114 @@
+"""Sessions driven without sockets, threads or clocks."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.doa.types import FloatArray
+from service.inference.noise_store import NoiseStore
+from service.inference.registry import BundleRegistry
+from service.protocol.message import message_type
+from service.protocol.server_messages import ServerMessage
+from service.streaming.opening import open_stream
+from service.streaming.reporter import Reporter, SessionLimits
+from service.streaming.session import Session
+
+ARRAY = "respeaker-usb-4mic-v2"
+
+
+def start(**changes: Any) -> dict[str, Any]:
+    """A valid ``start``; keys of parts replace that part's."""
+    message: dict[str, Any] = {
+        "type": "start",
+        "audio": {"encoding": "pcm_s16le", "sample_rate": 16000, "channels": 4},
+        "array": {"name": ARRAY},
+    }
+    for key, value in changes.items():
+        part = message.get(key)
+        message[key] = {**part, **value} if isinstance(part, dict) else value
+    return message
+
+
+def pcm(audio: FloatArray) -> bytes:
+    """Audio (N, T) as interleaved 16-bit samples."""
+    return np.round(audio.T * 32767).astype("<i2").tobytes()
+
+
+@dataclass
+class Driver:
+    """One session whose work is done at once, or when ``work`` is called."""
+
+    session: Session
+    messages: list[dict[str, Any]] = field(default_factory=list)
+    now: float = 0.0
+    eager: bool = True
+
+    def send(self, message: dict[str, Any] | str) -> None:
+        text = message if isinstance(message, str) else json.dumps(message)
+        self.session.receive_text(text, self.now)
+        if self.eager:
+            self.work()
+
+    def audio(self, data: bytes, size: int = 8192) -> None:
+        """Send bytes in messages of ``size`` bytes."""
+        for begin in range(0, len(data), size):
+            self.session.receive_bytes(data[begin : begin + size], self.now)
+            if self.eager:
+                self.work()
+
+    def work(self) -> None:
+        while (work := self.session.take_work()) is not None:
+            work()
+            self.session.work_done(self.now)
+
+    def all(self, kind: str) -> list[dict[str, Any]]:
+        return [message for message in self.messages if message["type"] == kind]
+
+    def only(self, kind: str) -> dict[str, Any]:
+        (message,) = self.all(kind)
+        return message
+
+    @property
+    def last(self) -> dict[str, Any]:
+        return self.messages[-1]
+
+
+NewSession = Callable[..., Driver]
+
+
+@pytest.fixture(scope="session")
+def registry() -> BundleRegistry:
+    return BundleRegistry.load()
+
+
+@pytest.fixture
+def store() -> NoiseStore:
+    return NoiseStore()
+
+
+@pytest.fixture
+def new_session(registry: BundleRegistry, store: NoiseStore) -> Iterator[NewSession]:
+    def make(limits: SessionLimits | None = None, *, eager: bool = True) -> Driver:
+        messages: list[dict[str, Any]] = []
+
+        def keep(message: ServerMessage) -> None:
+            kind = message_type(type(message))
+            messages.append({"type": kind, **message.model_dump(mode="json")})
+
+        session = Session(
+            "test",
+            partial(open_stream, registry=registry, store=store),
+            Reporter(keep),
+            limits or SessionLimits(),
+            now=0.0,
+        )
+        return Driver(session, messages, eager=eager)
+
+    yield make

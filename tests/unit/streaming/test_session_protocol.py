@@ -1,0 +1,320 @@
+"""The session as a state machine: order of messages, limits, overload, gaps, bad input."""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from service.doa.array import MicrophoneArray
+from service.doa.types import FloatArray
+from service.protocol.close_codes import CloseCode
+from service.streaming.reporter import SessionLimits
+
+from .conftest import NewSession, pcm, start
+
+RATE = 16000
+CLASSICAL = start(method="norm_music")
+SECOND = pcm(0.01 * np.random.default_rng(0).standard_normal((4, RATE)))
+
+
+def stamped(sequence: int, captured_ns: int, audio: bytes) -> bytes:
+    return struct.pack("<IIq", 0, sequence, captured_ns) + audio
+
+
+actions = st.one_of(
+    st.sampled_from(
+        [
+            json.dumps(CLASSICAL),
+            '{"type":"stop"}',
+            '{"type":"flush"}',
+            '{"type":"ping","id":7}',
+            '{"type":"update","output":{"interval_ms":50}}',
+            '{"type":"calibrate","kind":"noise","seconds":1}',
+            '{"type":"calibrate","kind":"noise","seconds":0}',
+            "{",
+            "null",
+        ]
+    ),
+    st.text(max_size=20),
+    st.integers(0, 9000).map(lambda size: SECOND[:size]),
+    st.integers(0, 1000).map(lambda count: SECOND[: 8 * count]),
+    st.just("work"),
+    st.just("tick"),
+    st.just("drain"),
+)
+
+
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(begin=st.booleans(), script=st.lists(actions, max_size=14), eager=st.booleans())
+def test_any_order_of_messages_ends_in_a_defined_state(
+    new_session: NewSession, begin: bool, script: list[Any], eager: bool
+) -> None:
+    driver = new_session(eager=eager)
+    if begin:
+        driver.send(CLASSICAL)
+    for action in script:
+        driver.now += 0.01
+        if action == "work":
+            driver.work()
+        elif action == "tick":
+            driver.session.tick(driver.now)
+        elif action == "drain":
+            driver.session.drain()
+        elif isinstance(action, bytes):
+            driver.audio(action, 65_536)
+        else:
+            driver.send(action)
+    driver.work()
+    session, messages = driver.session, driver.messages
+    assert (session.state == "closed") == (session.close_code is not None)
+    assert [message["seq"] for message in messages] == list(range(len(messages)))
+    assert len(driver.all("ready")) <= 1
+    ends = [m for m in messages if m["type"] in ("error", "closing")]
+    assert len(ends) == (session.close_code is not None)
+    if ends:
+        assert messages[-1] == ends[0]
+        assert ends[0]["close_code"] == session.close_code
+        assert session.take_work() is None
+    pongs = driver.all("pong")
+    assert all(pong["id"] == 7 for pong in pongs)
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "words"),
+    [
+        ({"array": {"name": "no-such-array"}}, "array_unknown", "no-such-array"),
+        ({"array": {"positions_m": [[0, 0, 0], [4, 0, 0]]}}, "geometry_invalid", "centimetres"),
+        ({"array": {"name": None}}, "geometry_invalid", "positions_m"),
+        ({"audio": {"channels": 2}}, "channel_mismatch", "2 channels"),
+        ({"channel_map": [0, 1, 2, 9]}, "channel_mismatch", "channel 9"),
+        ({"channel_map": [0, 1, 2, 2]}, "channel_map_invalid", "twice"),
+        ({"audio": {"sample_rate": 2_000_000}}, "message_invalid", "start.audio.sample_rate"),
+        ({"audio": {"encoding": "mp3"}}, "message_invalid", "pcm_s16le"),
+        ({"model": "nobody"}, "model_unknown", "nobody"),
+        ({"output": {"num_sources": 4}}, "too_many_sources", "at most 3"),
+        ({"output": {"colour": 1}}, "message_invalid", "start.output.colour"),
+        ({"output": {"exclude_deg": [[10, 370]]}}, "message_invalid", "exclude_deg"),
+    ],
+)
+def test_a_start_that_cannot_be_is_refused_with_what_to_do(
+    changes: dict[str, Any], code: str, words: str, new_session: NewSession
+) -> None:
+    driver = new_session()
+    driver.send(start(**changes))
+    error = driver.last
+    assert (error["type"], error["code"], error["close_code"]) == ("error", code, 4400)
+    assert words in error["detail"]
+    assert not error["retryable"]
+    assert driver.session.close_code == CloseCode.INVALID_MESSAGE
+
+
+@pytest.mark.parametrize(
+    ("data", "code", "close_code", "words"),
+    [
+        (b"RIFF\x00\x00\x00\x00WAVEfmt " + bytes(16), "message_invalid", 4400, "WAV"),
+        (b"fLaC" + bytes(28), "message_invalid", 4400, "FLAC"),
+        (bytes(7), "message_invalid", 4400, "8 bytes"),
+        (bytes(65_544), "message_too_big", 1009, "65536"),
+    ],
+)
+def test_audio_that_cannot_be_is_refused_with_what_to_do(
+    data: bytes, code: str, close_code: int, words: str, new_session: NewSession
+) -> None:
+    driver = new_session()
+    driver.send(CLASSICAL)
+    driver.audio(data, 100_000)
+    assert (driver.last["code"], driver.last["close_code"]) == (code, close_code)
+    assert words in driver.last["detail"]
+
+
+def test_audio_before_start_closes_with_1003(new_session: NewSession) -> None:
+    driver = new_session()
+    driver.audio(bytes(8))
+    assert (driver.last["code"], driver.last["close_code"]) == ("audio_before_start", 1003)
+
+
+@pytest.mark.parametrize("bomb", ["[" * 30_000, '{"a":' * 9_000, '{"type":"' + "x" * 60_000 + '"}'])
+def test_json_bombs_are_one_sentence(bomb: str, new_session: NewSession) -> None:
+    driver = new_session()
+    driver.send(bomb)
+    assert driver.last["code"] == "message_invalid"
+    assert len(driver.last["detail"]) < 300
+
+
+def test_a_message_of_more_than_64_kib_is_too_big(new_session: NewSession) -> None:
+    driver = new_session()
+    driver.send(" " * 65_537)
+    assert (driver.last["code"], driver.last["close_code"]) == ("message_too_big", 1009)
+
+
+def test_the_oldest_audio_is_dropped_and_said_so(new_session: NewSession) -> None:
+    driver = new_session(eager=False)
+    driver.send(CLASSICAL)
+    driver.work()
+    for _ in range(5):
+        driver.audio(SECOND)
+    assert driver.session.buffered_s <= 0.6
+    driver.work()
+    warning = driver.all("warning")[0]
+    assert warning["code"] == "audio_dropped"
+    driver.send({"type": "stop"})
+    driver.work()
+    summary = driver.only("summary")
+    results = driver.all("result")
+    assert summary["dropped_s"] + 0.1 * len(results) == pytest.approx(5, abs=0.1)
+    assert results[-1]["t_end"] == pytest.approx(5)
+    assert [r["t_end"] for r in results] == sorted(r["t_end"] for r in results)
+
+
+def test_a_file_loses_nothing(new_session: NewSession) -> None:
+    driver = new_session(eager=False)
+    driver.send(start(method="norm_music", overflow="block"))
+    driver.work()
+    sent = 0
+    for _ in range(40):
+        if not driver.session.wants_audio:
+            driver.work()
+        driver.audio(SECOND[:16_000])
+        sent += 16_000
+    assert driver.session.buffered_s < 1.0
+    driver.send({"type": "stop"})
+    driver.work()
+    summary = driver.only("summary")
+    assert (summary["dropped_s"], summary["audio_s"]) == (0, pytest.approx(sent / 8 / RATE))
+    assert summary["results"] == round(sent / 8 / RATE * 10)
+
+
+def test_lost_messages_are_a_gap_and_results_carry_the_capture_time(
+    new_session: NewSession,
+) -> None:
+    driver = new_session()
+    driver.send(start(method="norm_music", audio={"header": "seq_time"}))
+    base, frames = 1_700_000_000_000_000_000, 800
+    for index in (0, 1, 2, 3, 8, 9):
+        captured = base + index * 50_000_000
+        driver.audio(stamped(index, captured, SECOND[: 8 * frames]), 10_000)
+    gap = driver.only("warning")
+    assert (gap["code"], gap["duration_ms"]) == ("audio_gap", 200)
+    assert "4 messages" in gap["detail"]
+    for result in driver.all("result"):
+        assert result["capture_time_ns"] == pytest.approx(base + result["t_end"] * 1e9, abs=2e6)
+    assert driver.all("result")[-1]["t_end"] == pytest.approx(0.5)
+
+
+def test_sequence_numbers_wrap(new_session: NewSession) -> None:
+    driver = new_session()
+    driver.send(start(method="norm_music", audio={"header": "seq_time"}))
+    for index, sequence in enumerate([2**32 - 2, 2**32 - 1, 0, 1]):
+        driver.audio(stamped(sequence, index * 50_000_000, SECOND[:6400]), 10_000)
+    assert not driver.all("warning")
+
+
+def test_a_long_gap_begins_anew_and_time_goes_on(
+    new_session: NewSession, square: MicrophoneArray, plane_waves: Any
+) -> None:
+    speech: FloatArray = plane_waves(square, [70.0, 200.0], seconds=2.0)
+    first, second = plane_waves(square, [70.0]), plane_waves(square, [200.0])
+    assert speech.shape[1] == 2 * RATE
+    driver = new_session()
+    driver.send(start(audio={"header": "seq_time"}))
+    driver.audio(stamped(0, 0, pcm(first[:, :8000])), 70_000)
+    driver.audio(stamped(1, 500_000_000, pcm(first[:, 8000:16_000])), 70_000)
+    driver.audio(stamped(9, 30_000_000_000, pcm(second[:, :8000])), 70_000)
+    before, after = driver.all("result")[-6], driver.all("result")[-1]
+    assert before["t_end"] == pytest.approx(1.0)
+    assert after["t_end"] == pytest.approx(30.5)
+    (source,) = after["sources"]
+    assert abs(source["azimuth_deg"] - 200) < 6
+    assert source["id"] > before["sources"][0]["id"]
+
+
+def test_an_idle_session_times_out_and_pings_keep_it(new_session: NewSession) -> None:
+    driver = new_session(SessionLimits(idle_timeout_s=5))
+    driver.send(CLASSICAL)
+    for _ in range(4):
+        driver.now += 4
+        driver.send({"type": "ping", "id": 1})
+        driver.session.tick(driver.now)
+    assert driver.session.state == "running"
+    driver.now += 6
+    driver.session.tick(driver.now)
+    assert (driver.last["code"], driver.last["close_code"]) == ("timeout", 4408)
+
+
+def test_a_client_that_never_speaks_times_out(new_session: NewSession) -> None:
+    driver = new_session(SessionLimits(idle_timeout_s=5))
+    driver.session.tick(5.1)
+    assert driver.last["close_code"] == 4408
+
+
+def test_a_session_has_a_longest_duration(new_session: NewSession) -> None:
+    driver = new_session(SessionLimits(max_session_s=10))
+    driver.send(CLASSICAL)
+    driver.now = 10.1
+    driver.audio(SECOND[:800])
+    driver.session.tick(driver.now)
+    assert (driver.last["code"], driver.last["close_code"]) == ("session_limit", 4410)
+
+
+def test_draining_answers_for_what_came_before(new_session: NewSession) -> None:
+    driver = new_session(eager=False)
+    driver.send(CLASSICAL)
+    driver.work()
+    driver.audio(SECOND[: 8 * 4000])
+    driver.session.drain()
+    driver.work()
+    assert driver.all("result")[-1]["t_end"] == pytest.approx(0.25)
+    summary, closing = driver.messages[-2:]
+    assert summary["type"] == "summary"
+    assert (closing["code"], closing["close_code"]) == ("draining", 1012)
+
+
+def test_control_messages_that_wait_are_bounded(new_session: NewSession) -> None:
+    driver = new_session(eager=False)
+    driver.send(CLASSICAL)
+    for _ in range(1001):
+        driver.send({"type": "update", "output": {"max_sources": 2}})
+    assert driver.last["code"] == "message_invalid"
+    assert "1000 control messages" in driver.last["detail"]
+
+
+def test_ten_thousand_tiny_messages_are_ordinary_audio(new_session: NewSession) -> None:
+    driver = new_session()
+    driver.send(CLASSICAL)
+    driver.audio(SECOND[:80_000], 8)
+    assert len(driver.all("result")) == 6
+    assert not driver.all("warning")
+
+
+def test_a_failing_pipeline_is_an_internal_error_and_no_traceback_for_the_client(
+    new_session: NewSession, caplog: pytest.LogCaptureFixture
+) -> None:
+    driver = new_session()
+    driver.send(CLASSICAL)
+
+    def fail(*_: Any, **__: Any) -> None:
+        raise ZeroDivisionError("secret")
+
+    assert driver.session.opened is not None
+    driver.session.opened.pipeline.step = fail  # type: ignore[method-assign,assignment]
+    driver.audio(SECOND)
+    assert (driver.last["code"], driver.last["close_code"]) == ("internal", 1011)
+    assert "secret" not in driver.last["detail"]
+    assert "ZeroDivisionError" in caplog.text
+
+
+def test_stats_come_every_five_seconds_of_audio(new_session: NewSession) -> None:
+    driver = new_session()
+    driver.send(CLASSICAL)
+    for _ in range(11):
+        driver.audio(SECOND)
+    assert [stats["audio_s"] for stats in driver.all("stats")] == pytest.approx([5, 10], abs=0.1)
+    assert driver.messages[0]["type"] == "ready"
