@@ -11,7 +11,7 @@ from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
 from service import __version__
-from service.api import catalog, localize, probes
+from service.api import catalog, localize, page, probes
 from service.api.limits import BodyLimit
 from service.api.problems import Problem, install_problem_handlers
 from service.api.state import ServiceState
@@ -32,7 +32,7 @@ y left, z up). Positions are metres, times seconds. Errors are RFC 9457 problems
 TAGS = [
     {"name": "localization", "description": "Recordings in, directions out."},
     {"name": "catalog", "description": "What requests may name."},
-    {"name": "service", "description": "Probes."},
+    {"name": "service", "description": "Web page and probes."},
 ]
 
 
@@ -70,7 +70,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
     app.state.service = state
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
     install_problem_handlers(app)
-    for router in (localize.router, catalog.router, probes.router):
+    for router in (localize.router, catalog.router, probes.router, page.router):
         app.include_router(router)
     return app
 

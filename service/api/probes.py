@@ -1,4 +1,4 @@
-"""Probes for whoever runs the service, and a signpost at the root; no model is touched."""
+"""Probes for whoever runs the service; no model is touched."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from typing import Literal
 
 from fastapi import APIRouter, Request
 
-from service import __version__
 from service.api.problems import problem_responses
 from service.api.schemas import Answer
 from service.api.state import state_of
@@ -21,15 +20,6 @@ class StatusAnswer(Answer):
     status: Literal["ok"] = "ok"
 
 
-class RootAnswer(Answer):
-    """What there is."""
-
-    name: Literal["neuralmusic"] = "neuralmusic"
-    version: str
-    links: dict[str, str]
-    """Paths by what they are"""
-
-
 @router.get("/livez", summary="Is the process alive?")
 async def livez() -> StatusAnswer:
     """200 as long as the process answers."""
@@ -41,16 +31,3 @@ async def readyz(request: Request) -> StatusAnswer:
     """200 once the models are loaded and self-tested, else 503."""
     state_of(request).models()
     return StatusAnswer()
-
-
-@router.get("/", summary="Name, version and paths")
-async def root() -> RootAnswer:
-    """Where to go from here."""
-    paths = {
-        "localize": "/localize",
-        "models": "/models",
-        "arrays": "/arrays",
-        "documentation": "/docs",
-        "openapi": "/openapi.json",
-    }
-    return RootAnswer(version=__version__, links=paths)
