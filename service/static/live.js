@@ -1,0 +1,100 @@
+// The live view: which sessions run, watching one of them, replaying a file as one.
+
+import { sessions } from "./api.js";
+import { byId, element } from "./dom.js";
+import { LiveView } from "./live-view.js";
+import { Replay, whyNotReplayable } from "./replay.js";
+import { Watch } from "./watch.js";
+import { duration } from "./words.js";
+
+const POLL_MS = 2000;
+
+export class Live {
+  #stream = null;
+  #watched = null;
+  #timer = 0;
+  #visible = false;
+
+  constructor() {
+    this.view = new LiveView();
+    byId("live-stop").addEventListener("click", () => this.#stream?.stop?.());
+    byId("howto-command").textContent = command();
+    document.addEventListener("visibilitychange", () => this.#poll());
+  }
+
+  /** The view is shown or hidden: only then are sessions asked for. */
+  setVisible(visible) {
+    this.#visible = visible;
+    this.#poll();
+  }
+
+  /** Send the setup's file as a live stream; why not, or null. */
+  replay(setup) {
+    const why = whyNotReplayable(setup.header);
+    if (why) return why;
+    this.#leave();
+    byId("live-stop").hidden = false;
+    const replay = new Replay(setup, this.view, () => {
+      if (this.#stream === replay) byId("live-stop").hidden = true;
+    });
+    this.#stream = replay;
+    return null;
+  }
+
+  #watch(id) {
+    this.#leave();
+    this.#watched = id;
+    this.#stream = new Watch(id, this.view);
+    this.#poll();
+  }
+
+  #leave() {
+    const before = this.#stream;
+    this.#stream = this.#watched = null;
+    byId("live-stop").hidden = true;
+    if (before instanceof Replay) before.abandon();
+    else before?.close();
+  }
+
+  async #poll() {
+    clearTimeout(this.#timer);
+    if (!this.#visible || document.hidden) return;
+    try {
+      this.#show(await sessions());
+    } catch (problem) {
+      byId("sessions-note").textContent = problem.detail ?? "The sessions cannot be read.";
+    }
+    clearTimeout(this.#timer);
+    this.#timer = setTimeout(() => this.#poll(), POLL_MS);
+  }
+
+  #show({ sessions: known, max_sessions: most }) {
+    const running = known.filter(({ state }) => state === "running");
+    const list = byId("sessions");
+    const focused = list.contains(document.activeElement) && document.activeElement.dataset.id;
+    list.replaceChildren(...running.map((session) => this.#entry(session)));
+    if (focused) list.querySelector(`[data-id="${CSS.escape(focused)}"]`)?.focus();
+    const note = running.length ? `${running.length} of at most ${most}` : "No session is running.";
+    if (byId("sessions-note").textContent !== note) byId("sessions-note").textContent = note;
+    byId("howto").hidden = running.length > 0;
+  }
+
+  #entry({ id, client, array, model, method, audio_s: audio, lag_ms: lag, num_sources: count }) {
+    const heard = count === 1 ? "1 source" : `${count} sources`;
+    const button = element(
+      "button",
+      { type: "button", "data-id": id, "aria-pressed": String(id === this.#watched) },
+      element("strong", { text: client ?? id }),
+      element("span", { text: `${array}, ${model ?? method}` }),
+      element("span", { text: `${duration(audio)}, ${heard}, lag ${Math.round(lag)} ms` }),
+    );
+    button.addEventListener("click", () => this.#watch(id));
+    return element("li", {}, button);
+  }
+}
+
+/** The command that streams this machine's microphones to this service. */
+function command() {
+  const address = new URL("./", document.baseURI).href.replace(/\/$/, "");
+  return `neuralmusic stream --url ${address} --array respeaker-usb-4mic-v2`;
+}
