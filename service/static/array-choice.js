@@ -86,7 +86,7 @@ export class ArrayChoice {
       groups.push(element("optgroup", { label }, ...fitting.map(presetOption)));
       groups.push(element("optgroup", { label: "Others" }, ...others.map(presetOption)));
     } else groups.push(...this.#presets.map(presetOption));
-    const custom = element("option", { value: CUSTOM, text: "Custom: positions of your own" });
+    const custom = element("option", { value: CUSTOM, text: "Custom positions" });
     this.select.replaceChildren(...groups, custom);
     this.select.value = chosen;
     if (!this.select.value) this.select.value = this.#presets[0].name;
@@ -96,6 +96,7 @@ export class ArrayChoice {
     byId("editor").hidden = !this.isCustom;
     byId("edit-array").hidden = this.isCustom;
     if (this.isCustom) this.editor.begin(this.#custom);
+    byId("array-origin").hidden = this.isCustom;
     byId("array-source").textContent = this.#preset?.source ?? "";
     this.#propose();
     this.#show();
@@ -145,10 +146,8 @@ export class ArrayChoice {
   }
 }
 
-function presetOption({ name, num_microphones: count, aperture_m: aperture }) {
-  const text = `${name}: ${count} microphones, ${Math.round(aperture * 1000)} mm`;
-  return element("option", { value: name, text });
-}
+const presetOption = ({ name, num_microphones: count }) =>
+  element("option", { value: name, text: `${name} (${count} mics)` });
 
 const fits = (preset, channels) =>
   preset.num_microphones === channels || String(channels) in preset.raw_channels;

@@ -37,7 +37,7 @@ export function microphones(positions, radius, { numbers = true, dot = 4 } = {})
 /** An array with axes and a scale bar, as a picture of its own. */
 export function arrayPlot(positions) {
   const described = `The array seen from above: ${positions.length} microphones`;
-  const picture = shape("svg", { viewBox: "-60 -60 120 132", role: "img", "aria-label": described });
+  const picture = shape("svg", { viewBox: "-60 -60 120 136", role: "img", "aria-label": described });
   picture.append(
     shape("path", { class: "axis", d: "M0 52V-54M-3 -49 0 -55 3 -49M52 0H-54M-49 -3-55 0-49 3" }),
     shape("text", { class: "axis-name", x: 7, y: -52, text: "x" }),

@@ -129,7 +129,7 @@ function withChips(sources) {
 function needle({ azimuth, confidence, slot, id, active = true, radius }) {
   const known = (id ?? null) !== null;
   const text = known ? `${label(azimuth)} #${id}` : label(azimuth);
-  const half = 9 + text.length * 5.2;
+  const half = 10 + text.length * 5.5;
   const [x, y] = onScreen(radius, azimuth);
   const [tipX, tipY] = onScreen(RIM - 1, azimuth);
   const group = shape("g", {

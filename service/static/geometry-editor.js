@@ -54,26 +54,29 @@ export class GeometryEditor {
   }
 
   #ring() {
-    const inputs = [
-      ["ring-count", "microphones", 6, 2],
-      ["ring-radius", "mm radius", 46, 0],
-      ["ring-first", "° first", 0, -360],
-    ].map(([id, text, value, min]) => {
-      const input = element("input", { id, type: "number", value, min, step: "any" });
-      return [input, element("label", { for: id, text })];
-    });
+    const [count, radius, first] = [
+      { id: "ring-count", value: 6, min: 2, max: MAX_MICROPHONES },
+      { id: "ring-radius", value: 46, min: 1 },
+      { id: "ring-first", value: 0 },
+    ].map((attributes) => element("input", { type: "number", step: "any", ...attributes }));
+    const labelled = (text, input) =>
+      element("label", {}, element("span", { class: "quiet", text }), input);
     const fill = element("button", { type: "button", text: "Make a ring" });
     fill.addEventListener("click", () => {
-      const [count, radius, first] = inputs.map(([input]) => Number(input.value));
-      if (!(count >= 2 && count <= MAX_MICROPHONES) || !(radius > 0)) return;
-      this.#positions = Array.from({ length: Math.floor(count) }, (_, index) => {
-        const angle = ((first + (360 * index) / Math.floor(count)) * Math.PI) / 180;
-        return [metres(radius * Math.cos(angle)), metres(radius * Math.sin(angle)), 0];
-      });
+      const number = Math.floor(count.value);
+      if (!(number >= 2 && number <= MAX_MICROPHONES && radius.value > 0)) return;
+      this.#positions = ring(number, Number(radius.value), Number(first.value));
       this.#showTable();
       this.#changed();
     });
-    return element("div", { class: "ring-form" }, ...inputs.flat(), fill);
+    return element(
+      "div",
+      { class: "ring-form" },
+      labelled("Ring of", count),
+      labelled("Radius, mm", radius),
+      labelled("First at, °", first),
+      fill,
+    );
   }
 
   #showTable() {
@@ -132,6 +135,14 @@ export class GeometryEditor {
     this.#showTable();
     this.onChange(this.#positions);
   }
+}
+
+/** Positions in metres evenly on a circle, counter-clockwise. */
+function ring(count, radius, first) {
+  return Array.from({ length: count }, (_, index) => {
+    const angle = ((first + (360 * index) / count) * Math.PI) / 180;
+    return [metres(radius * Math.cos(angle)), metres(radius * Math.sin(angle)), 0];
+  });
 }
 
 const isPosition = (p) => Array.isArray(p) && p.length === 3 && p.every(Number.isFinite);

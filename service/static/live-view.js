@@ -84,6 +84,7 @@ export class LiveView {
       Array: array.name,
       Method: model ? `${model.name} ${model.version}` : METHODS[method],
       Window: `${Math.round(timing.window_ms)} ms every ${timing.interval_ms} ms`,
+      Lag: null,
     };
     showFacts(byId("live-facts"), this.facts);
     byId("live-exports").replaceChildren(

@@ -4,8 +4,8 @@ import { colour } from "./colours.js";
 
 const ROWS = 180;
 const MAX_COLUMNS = 2000;
-const STRENGTH = 165; // alpha, of 255, where the spectrum is 1
-const CONTRAST = 1.8; // exponent: the floor of a spectrum is not zero
+const STRENGTH = 215; // alpha, of 255, where the spectrum is 1
+const CONTRAST = 2.3; // exponent: the floor of a spectrum is not zero
 
 export class Strip {
   #canvas = document.createElement("canvas");

@@ -3,11 +3,12 @@
 import { wrapped } from "./angles.js";
 import { COUNT, OTHER, colour, onThemeChange } from "./colours.js";
 
-const MARGIN = { left: 52, right: 14, top: 12, bottom: 26 };
+const MARGIN = { left: 52, right: 14, top: 12, bottom: 30 };
 const SIDES = [[180, "back"], [90, "left"], [0, "front"], [-90, "right"], [-180, "back"]];
 const STEPS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600];
 const TICK_SPACE = 62; // pixels
-const DOT = { least: 1.1, most: 4.6 };
+const DOT = { least: 1.1, most: 5 };
+const OUTLINED = 3; // pixels; smaller dots would be all outline
 
 export class Timeline {
   #data = { points: [], strip: null, range: [0, 1], now: null, band: null, columns: 60 };
@@ -97,7 +98,7 @@ export class Timeline {
     for (const [t, text] of this.#timeTicks(plot.width)) {
       const x = toX(t);
       stroke(context, x, plot.y + plot.height, x, plot.y + plot.height + 4);
-      context.fillText(text, x, plot.y + plot.height + 16);
+      context.fillText(text, x, plot.y + plot.height + 18);
     }
   }
 
@@ -133,6 +134,8 @@ export class Timeline {
     const colours = new Map([[OTHER, colour("quiet")]]);
     for (let slot = 0; slot < COUNT; slot += 1) colours.set(slot, colour(`source-${slot}`));
     context.save();
+    context.strokeStyle = colour("panel");
+    context.lineWidth = 1.25;
     context.beginPath();
     context.rect(plot.x - 5, plot.y - 5, plot.width + 10, plot.height + 10);
     context.clip();
@@ -143,6 +146,7 @@ export class Timeline {
       context.beginPath();
       context.arc(toX(t), toY(azimuth), most * (0.55 + 0.45 * sure), 0, 2 * Math.PI);
       context.fill();
+      if (most >= OUTLINED) context.stroke();
     }
     context.restore();
   }
