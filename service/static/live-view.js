@@ -51,7 +51,7 @@ export class LiveView {
       stats: () => this.#stats(message),
       calibrated: () => this.say(`Learnt ${message.seconds} s of noise.`, "live"),
       error: () => this.fail(message),
-      closing: () => this.say(`Ended: ${message.detail}`, "ended"),
+      closing: () => this.#closing(message),
       summary: () => this.#summary(message),
     }[message.type];
     take?.();
@@ -60,6 +60,7 @@ export class LiveView {
   #reset() {
     this.points = [];
     this.warnings = new Map();
+    this.summed = false;
     this.facts = {};
     this.latest = null;
     this.colours = new TrackColours();
@@ -116,6 +117,9 @@ export class LiveView {
     for (const { azimuth, confidence, active, slot } of sources) {
       this.points.push({ t: result.t_end, azimuth, confidence, active, slot });
     }
+    // Here, not where it is drawn: a hidden page draws nothing, but goes on hearing.
+    const old = this.points.findIndex(({ t }) => t > result.t_end - HISTORY);
+    if (old > 0) this.points.splice(0, old);
     const passed = this.latest ? result.t_end - this.latest.result.t_end : this.interval;
     this.strip.push(result.spectrum, Math.round(passed / this.interval));
     this.latest = { result, sources };
@@ -126,7 +130,6 @@ export class LiveView {
     this.#frame = 0;
     if (!this.latest) return;
     const { result, sources } = this.latest;
-    this.points = this.points.filter(({ t }) => t > result.t_end - HISTORY);
     this.dial.show({ spectrum: result.spectrum, sources });
     this.timeline.set(this.#minute(result.t_end));
     byId("live-title").textContent = `Now, ${duration(result.t_end)}`;
@@ -173,7 +176,12 @@ export class LiveView {
     );
   }
 
+  #closing({ detail }) {
+    if (!this.summed) this.say(`The session has ended: ${detail}`, "ended");
+  }
+
   #summary({ audio_s: audio, results, dropped_s: dropped }) {
+    this.summed = true;
     const lost = dropped > 0 ? `, ${duration(dropped)} dropped` : "";
     this.say(`The session has ended after ${duration(audio)}: ${results} results${lost}.`, "ended");
   }

@@ -6,6 +6,7 @@ import { Live } from "./live.js";
 import { RecordingView } from "./recording.js";
 
 const VIEWS = ["recording", "live"];
+const AGAIN_MS = 2000; // while the service loads its models, or is not there yet
 
 const live = new Live();
 const recording = new RecordingView((setup) => {
@@ -40,19 +41,21 @@ function listenToTabs() {
 }
 
 async function begin() {
-  listenToTabs();
-  if (location.hash === "#live") show("live");
   try {
     const [{ version }, presets, bundles] = await Promise.all([signpost(), arrays(), models()]);
     recording.setup.offer(presets, bundles);
     byId("health").textContent = `ready · ${version}`;
     byId("health").dataset.state = "live";
+    showProblem(byId("problem"), null);
   } catch (problem) {
     if (!problem.detail) throw problem;
     byId("health").textContent = "not ready";
     byId("health").dataset.state = "broken";
     showProblem(byId("problem"), problem);
+    setTimeout(begin, AGAIN_MS);
   }
 }
 
+listenToTabs();
+if (location.hash === "#live") show("live");
 begin();
