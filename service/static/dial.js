@@ -132,14 +132,12 @@ function needle({ azimuth, confidence, slot, id, active = true, radius }) {
   const half = 10 + text.length * 5.5;
   const [x, y] = onScreen(radius, azimuth);
   const [tipX, tipY] = onScreen(RIM - 1, azimuth);
-  const group = shape("g", {
-    class: `needle${active ? "" : " coasting"}`,
-    "data-slot": slot,
-    opacity: (0.4 + 0.6 * Math.min(1, confidence)).toFixed(2),
-  });
+  const group = shape("g", { class: `needle${active ? "" : " coasting"}`, "data-slot": slot });
+  const hand = line(HUB + 2, RIM - 6, azimuth, "hand");
+  hand.setAttribute("opacity", (0.35 + 0.65 * Math.min(1, confidence)).toFixed(2));
   const chip = { x: x - half, y: y - 15, width: 2 * half, height: 30, rx: 8 };
   group.append(
-    line(HUB + 2, RIM - 6, azimuth, "hand"),
+    hand,
     shape("path", {
       class: "tip",
       d: "M0 -2-8 13H8Z",

@@ -44,7 +44,7 @@ export class RecordingView {
     try {
       const { answer, text } = await localize(file, options, this.#running.signal);
       this.#answered = true;
-      this.results.show(answer, text, file.name);
+      this.results.show(answer, text, file);
       const count = answer.summary.sources.length;
       say(`Found ${counted(count, "direction")} in ${counted(answer.windows.length, "window")}.`);
       bringIntoView();

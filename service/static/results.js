@@ -3,6 +3,7 @@
 import { inWords, label } from "./angles.js";
 import { RecordingColours } from "./colours.js";
 import { byId, element } from "./dom.js";
+import { Player } from "./player.js";
 import { showSources } from "./readout.js";
 import { Strip } from "./strip.js";
 import { Timeline } from "./timeline.js";
@@ -18,12 +19,18 @@ export class Results {
   constructor(dial) {
     this.dial = dial;
     this.canvas = byId("timeline");
-    this.timeline = new Timeline(this.canvas, (t) => this.#select(this.#nearest(t)));
+    this.timeline = new Timeline(this.canvas, (t) => this.#seek(t));
     this.canvas.addEventListener("keydown", (event) => this.#key(event));
+    this.player = new Player(
+      byId("listen"),
+      (t) => this.#follow(t),
+      (why) => (byId("window-note").textContent = why),
+    );
+    byId("listen").addEventListener("click", () => this.#listen());
   }
 
-  /** Show an answer of POST /localize; `text` is its JSON as it came, `name` the file's. */
-  show(answer, text, name) {
+  /** Show an answer of POST /localize; `text` is its JSON as it came. */
+  show(answer, text, file) {
     byId("answer").hidden = false;
     this.#windows = answer.windows;
     this.colours = new RecordingColours(answer);
@@ -38,7 +45,8 @@ export class Results {
     this.#select(strong);
     this.#showSummary(answer);
     showWarnings(answer.warnings);
-    this.#offerDownloads(answer, text, name.replace(/\.[^.]+$/, ""));
+    this.#offerDownloads(answer, text, file.name.replace(/\.[^.]+$/, ""));
+    this.player.offer(file, answer.array.channel_map[0]);
   }
 
   #points(window) {
@@ -85,6 +93,25 @@ export class Results {
     this.canvas.setAttribute("aria-valuetext", `${from.toFixed(1)} to ${to.toFixed(1)} s: ${heard}`);
   }
 
+  /** Show the window at a second that the user chose, and play on from there. */
+  #seek(t) {
+    this.#select(this.#nearest(t));
+    if (this.player.playing) this.player.play(t);
+  }
+
+  #listen() {
+    if (this.player.playing) this.player.stop();
+    else if (this.#index >= this.#windows.length - 1) this.player.play(0);
+    else this.player.play(this.#windows[this.#index].t_start);
+  }
+
+  /** Show what sounds; null where nothing does any more. */
+  #follow(t) {
+    const index = t === null ? this.#index : this.#nearest(t);
+    if (index !== this.#index) this.#select(index);
+    this.timeline.set({ cursor: t });
+  }
+
   #key(event) {
     const last = this.#windows.length - 1;
     const target = {
@@ -99,7 +126,8 @@ export class Results {
     }[event.key];
     if (target === undefined) return;
     event.preventDefault();
-    this.#select(Math.min(last, Math.max(0, target)));
+    const { t_start: from, t_end: to } = this.#windows[Math.min(last, Math.max(0, target))];
+    this.#seek((from + to) / 2);
   }
 
   #showSummary(answer) {

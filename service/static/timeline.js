@@ -6,12 +6,12 @@ import { COUNT, OTHER, colour, onThemeChange } from "./colours.js";
 const MARGIN = { left: 52, right: 14, top: 12, bottom: 30 };
 const SIDES = [[180, "back"], [90, "left"], [0, "front"], [-90, "right"], [-180, "back"]];
 const STEPS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600];
-const TICK_SPACE = 62; // pixels
+const TICK_SPACE = 74; // pixels
 const DOT = { least: 1.1, most: 5 };
 const OUTLINED = 3; // pixels; smaller dots would be all outline
 
 export class Timeline {
-  #data = { points: [], strip: null, range: [0, 1], now: null, band: null, columns: 60 };
+  #data = { points: [], strip: null, range: [0, 1], now: null, band: null, cursor: null, columns: 60 };
   #frame = 0;
 
   /** `onSelect` is called with a time in seconds where the user clicks. */
@@ -29,6 +29,7 @@ export class Timeline {
    * @param data.range first and last second
    * @param data.now the second that is called "now", or null for a recording
    * @param data.band first and last second of the window shown, or null
+   * @param data.cursor the second marked in it, or null for the band's middle
    * @param data.columns results in the range, for the size of the dots
    */
   set(data) {
@@ -118,13 +119,14 @@ export class Timeline {
   }
 
   #drawBand(context, plot, toX) {
-    const { band } = this.#data;
+    const { band, cursor } = this.#data;
     if (!band) return;
     const [left, right] = band.map(toX);
+    const x = cursor === null ? (left + right) / 2 : toX(cursor);
     context.fillStyle = colour("band");
     context.fillRect(left, plot.y, Math.max(right - left, 2), plot.height);
     context.strokeStyle = colour("ink");
-    stroke(context, (left + right) / 2, plot.y, (left + right) / 2, plot.y + plot.height);
+    stroke(context, x, plot.y, x, plot.y + plot.height);
   }
 
   #drawDots(context, plot, toX, toY) {
