@@ -13,7 +13,7 @@ DoaError
 │  └─ MissingAudio · UploadTooLarge · UnsupportedMediaType
 ├─ StreamProtocolError
 │  └─ InvalidMessage · AudioBeforeStart · MessageTooBig · StreamTimeout · SessionLimit ·
-│     TooManySessions · OriginRefused
+│     TooManySessions · OriginRefused · SubprotocolMissing
 ├─ BundleError
 │  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed
 └─ CapacityError
@@ -198,6 +198,12 @@ class InvalidMessage(StreamProtocolError):
     """A message is no JSON, of no known type, or one of its fields is wrong."""
 
     code, title = "message_invalid", "Invalid message"
+
+
+class SubprotocolMissing(StreamProtocolError):
+    """The WebSocket's client did not offer the subprotocol ``doa.v1``."""
+
+    code, title = "subprotocol_missing", "Subprotocol missing"
 
 
 class AudioBeforeStart(StreamProtocolError):

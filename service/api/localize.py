@@ -43,7 +43,7 @@ async def localize(request: Request) -> Response:
     query parameters; `array` is required.
     """
     state = state_of(request)
-    state.models()
+    state.admit()
     state.workers.check()
     async with read_upload(request) as upload:
         asked = read_options(upload.options)

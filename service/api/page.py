@@ -128,6 +128,8 @@ def _file_response(request: Request, file: PageFile) -> Response:
 def _signpost() -> RootAnswer:
     paths = {
         "localize": "/localize",
+        "stream": "/stream",
+        "sessions": "/sessions",
         "models": "/models",
         "arrays": "/arrays",
         "documentation": "/docs",

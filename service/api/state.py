@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 from fastapi import Request
 
 from service.api.workers import WorkerPool
 from service.audio import AudioLimits
-from service.errors import NotReady
+from service.errors import Draining, NotReady
 from service.inference.registry import BundleRegistry
 from service.settings import Settings
+from service.streaming.registry import SessionRegistry
 
 
 @dataclass(slots=True)
@@ -19,6 +21,9 @@ class ServiceState:
 
     settings: Settings
     workers: WorkerPool
+    streams: SessionRegistry
+    stream_pool: Executor
+    """Threads that streams compute in"""
     registry: BundleRegistry | None = None
     """None until the bundles are loaded and self-tested"""
 
@@ -32,6 +37,12 @@ class ServiceState:
         if self.registry is None:
             raise NotReady("the models are being loaded: try again in a moment")
         return self.registry
+
+    def admit(self) -> BundleRegistry:
+        """The loaded bundles for something new; raises Draining once the service shuts down."""
+        if self.streams.draining:
+            raise Draining("the service is shutting down: try again in a moment")
+        return self.models()
 
 
 def state_of(request: Request) -> ServiceState:

@@ -40,18 +40,29 @@ class ClassicalLocalizer:
         self, windows: FloatArray, num_sources: int | None, max_sources: int
     ) -> list[WindowEstimate]:
         """Directions of every window (B, N, T); without a known count, all distinct peaks."""
-        spectra = self._stft.transform(windows)[..., self._band, :]
-        dimension = min(num_sources or 1, self._most_sources)
         return [
-            self._pick(self.spectrum(window, dimension), num_sources, max_sources)
-            for window in spectra
+            self.localize(self.covariance(window), num_sources, max_sources)
+            for window in self._stft.transform(windows)
         ]
 
-    def spectrum(self, spectra: ComplexArray, num_sources: int) -> FloatArray:
-        """Broadband spectrum (A,) of one window's band (N, F, L)."""
+    def covariance(self, spectra: ComplexArray) -> ComplexArray:
+        """What the method needs of spectra (N, F, L): (F', N, N), a mean over frames."""
+        band = spectra[:, self._band]
+        return sample_covariance(
+            classical.phase_transform(band) if self._method == "srp_phat" else band
+        )
+
+    def localize(
+        self, covariance: ComplexArray, num_sources: int | None, max_sources: int
+    ) -> WindowEstimate:
+        """Directions from what ``covariance`` gives."""
+        dimension = min(num_sources or 1, self._most_sources)
+        return self._pick(self.spectrum(covariance, dimension), num_sources, max_sources)
+
+    def spectrum(self, covariance: ComplexArray, num_sources: int) -> FloatArray:
+        """Broadband spectrum (A,) from what ``covariance`` gives."""
         if self._method == "srp_phat":
-            return np.maximum(classical.srp_phat(spectra, self._steering), 0)
-        covariance = sample_covariance(spectra)
+            return np.maximum(classical.srp_phat(covariance, self._steering), 0)
         method = classical.music if self._method == "music" else classical.norm_music
         return method(covariance, self._steering, num_sources)
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter, field_validator
 
 from service.protocol.framing import Encoding, HeaderKind
-from service.protocol.message import Message, read_message
+from service.protocol.message import Message, message_type, read_message
 
 Position = tuple[float, float, float]
 Sector = tuple[float, float]
@@ -141,7 +141,7 @@ ClientMessage = Annotated[
 ]
 CLIENT_MESSAGES: tuple[type[Message], ...] = (Start, Update, Flush, Ping, Calibrate, Stop)
 _ADAPTER: TypeAdapter[Start | Update | Flush | Ping | Calibrate | Stop] = TypeAdapter(ClientMessage)
-_TYPES = [get_args(cls.model_fields["type"].annotation)[0] for cls in CLIENT_MESSAGES]
+_TYPES = [message_type(message) for message in CLIENT_MESSAGES]
 
 
 def read_client_message(text: str | bytes) -> Start | Update | Flush | Ping | Calibrate | Stop:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
@@ -24,6 +24,11 @@ class Message(BaseModel):
         allow_inf_nan=False,
         use_attribute_docstrings=True,
     )
+
+
+def message_type(message: type[Message]) -> str:
+    """The ``type`` of a kind of message."""
+    return str(get_args(message.model_fields["type"].annotation)[0])
 
 
 def read_message(text: str | bytes, adapter: TypeAdapter[M], known: list[str]) -> M:

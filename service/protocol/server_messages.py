@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter
 
-from service.protocol.message import Message, read_message
+from service.protocol.message import Message, message_type, read_message
 
 WarningCode = Literal[
     "audio_dropped",
@@ -340,7 +340,7 @@ AnyServerMessage = (
 _ADAPTER: TypeAdapter[AnyServerMessage] = TypeAdapter(
     Annotated[AnyServerMessage, Field(discriminator="type")]
 )
-_TYPES = [get_args(cls.model_fields["type"].annotation)[0] for cls in SERVER_MESSAGES]
+_TYPES = [message_type(message) for message in SERVER_MESSAGES]
 
 
 def read_server_message(text: str | bytes) -> AnyServerMessage:
