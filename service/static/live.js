@@ -5,9 +5,10 @@ import { byId, element } from "./dom.js";
 import { LiveView } from "./live-view.js";
 import { Replay, whyNotReplayable } from "./replay.js";
 import { Watch } from "./watch.js";
-import { duration } from "./words.js";
+import { METHODS, counted, duration } from "./words.js";
 
 const POLL_MS = 2000;
+const ENDED_SHOWN = 4;
 
 export class Live {
   #stream = null;
@@ -41,10 +42,10 @@ export class Live {
     return null;
   }
 
-  #watch(id) {
+  #watch({ id, state }) {
     this.#leave();
     this.#watched = id;
-    this.#stream = new Watch(id, this.view);
+    this.#stream = new Watch(id, this.view, state === "ended");
     this.#poll();
   }
 
@@ -72,25 +73,36 @@ export class Live {
     const running = known.filter(({ state }) => state === "running");
     const list = byId("sessions");
     const focused = list.contains(document.activeElement) && document.activeElement.dataset.id;
-    list.replaceChildren(...running.map((session) => this.#entry(session)));
+    const ended = known.filter((session) => !running.includes(session)).slice(0, ENDED_SHOWN);
+    list.replaceChildren(...[...running, ...ended].map((session) => this.#entry(session)));
     if (focused) list.querySelector(`[data-id="${CSS.escape(focused)}"]`)?.focus();
     const note = running.length ? `${running.length} of at most ${most}` : "No session is running.";
     if (byId("sessions-note").textContent !== note) byId("sessions-note").textContent = note;
     byId("howto").hidden = running.length > 0;
   }
 
-  #entry({ id, client, array, model, method, audio_s: audio, lag_ms: lag, num_sources: count }) {
-    const heard = count === 1 ? "1 source" : `${count} sources`;
+  #entry(session) {
+    const { id, client, array, model, method, state } = session;
+    const opened = array ? `${array}, ${model ?? METHODS[method]}` : "opening";
     const button = element(
       "button",
-      { type: "button", "data-id": id, "aria-pressed": String(id === this.#watched) },
+      { type: "button", class: state, "data-id": id, "aria-pressed": String(id === this.#watched) },
       element("strong", { text: client ?? id }),
-      element("span", { text: `${array}, ${model ?? method}` }),
-      element("span", { text: `${duration(audio)}, ${heard}, lag ${Math.round(lag)} ms` }),
+      element("span", { text: opened }),
+      element("span", { text: course(session) }),
     );
-    button.addEventListener("click", () => this.#watch(id));
+    button.addEventListener("click", () => this.#watch(session));
     return element("li", {}, button);
   }
+}
+
+/** How a session is doing, or that it is over. */
+function course({ state, audio_s: audio, lag_ms: lag, num_sources: count, started_at: begin }) {
+  if (state === "ended") {
+    const time = new Date(begin).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" });
+    return `ended, ${duration(audio)} from ${time}`;
+  }
+  return `${duration(audio)}, ${counted(count, "source")}, lag ${Math.round(lag)} ms`;
 }
 
 /** The command that streams this machine's microphones to this service. */

@@ -1,4 +1,5 @@
 // Watching a session that someone else runs, by server-sent events; it comes back after a break.
+// Of a session that has ended the last minute is shown.
 
 import { eventsAddress, sessions } from "./api.js";
 
@@ -13,9 +14,10 @@ export class Watch {
   #failures = 0;
   #over = false;
 
-  constructor(id, view) {
+  constructor(id, view, ended) {
     this.id = id;
     this.view = view;
+    this.ended = ended;
     view.begin("Opening the session…");
     this.#open();
   }
@@ -47,6 +49,11 @@ export class Watch {
   async #broken() {
     this.#source.close();
     if (this.#over) return;
+    if (this.ended) {
+      this.close();
+      this.view.say("This session has ended; its last minute is shown.", "ended");
+      return;
+    }
     const wait = WAITS[Math.min(this.#failures, WAITS.length - 1)];
     this.#failures += 1;
     this.view.say(`The connection broke. Trying again in ${wait} s…`, "broken");

@@ -253,3 +253,58 @@ def contrast(here: Any) -> float:
 
     paper, *others = map(luminance, colours)
     return min((max(paper, x) + 0.05) / (min(paper, x) + 0.05) for x in others)
+
+
+def source_near(here: Any, azimuth: float) -> str:
+    """The id of the live source at an azimuth, as soon as the page shows one."""
+    found = here.page.wait_for_function(
+        "azimuth => [...document.querySelectorAll('#live-sources li')]"
+        ".find(entry => Math.abs(entry.dataset.azimuth - azimuth) <= 5)?.dataset.id",
+        arg=azimuth,
+    )
+    return str(found.json_value())
+
+
+def test_a_recording_is_replayed_as_a_stream_that_others_watch(
+    visit: Visits, tmp_path: Path
+) -> None:
+    path = tmp_path / "two-talkers.wav"
+    soundfile.write(path, *soundfile.read(SAMPLE))
+    here, watcher = visit(), visit(view="#live")
+    here.page.set_input_files("#file", path)
+    here.page.click("#replay")
+    expect(here.page.locator("#live-state")).to_have_text("Replaying two-talkers.wav.")
+    first = source_near(here, TALKERS_DEG[0])
+
+    watcher.page.click("#sessions button.running")
+    assert source_near(watcher, TALKERS_DEG[0]) == first
+    second = source_near(here, TALKERS_DEG[1])
+    assert source_near(watcher, TALKERS_DEG[1]) == second
+    assert first != second
+    for page in (here.page, watcher.page):
+        expect(page.locator("#live-facts")).to_contain_text("any-array")
+    here.page.wait_for_function("document.querySelectorAll('#live-sources li').length === 2")
+    keep_picture(here, "page-live")
+
+    over = "The session has ended after 8."
+    expect(here.page.locator("#live-state")).to_contain_text(over, timeout=20_000)
+    expect(watcher.page.locator("#live-state")).to_contain_text(over)
+    with watcher.page.expect_download() as download:
+        watcher.page.click("#live-exports a >> nth=0")
+    rows = list(csv.DictReader(download.value.path().read_text().splitlines()))
+    assert {first, second} <= {row["id"] for row in rows}
+
+
+def test_a_stream_is_stopped_and_what_was_heard_stays(visit: Visits) -> None:
+    here = visit()
+    here.page.click("#sample")
+    expect(here.page.locator("#setup-status")).to_contain_text("Found")
+    here.page.click("#replay")
+    source_near(here, TALKERS_DEG[0])
+    here.page.click("#live-stop")
+    expect(here.page.locator("#live-state")).to_contain_text("The session has ended after")
+    expect(here.page.locator("#live-stop")).to_be_hidden()
+    here.page.click("#sessions button.ended >> nth=0")
+    expect(here.page.locator("#live-state")).to_have_text(
+        "This session has ended; its last minute is shown."
+    )
