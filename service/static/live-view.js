@@ -11,6 +11,8 @@ import { Timeline } from "./timeline.js";
 import { METHODS, duration, warningTitle, whyNoSource } from "./words.js";
 
 const HISTORY = 60; // seconds
+const SHORTEST = 15; // seconds that are shown at least: a young session fills them sooner
+const DOTS_PER_S = 5; // that the size of the dots leaves room for; closer ones make a line
 const MAX_WARNINGS = 8;
 
 export class LiveView {
@@ -67,7 +69,7 @@ export class LiveView {
     this.interval = 0.1;
     this.strip = new Strip(HISTORY / this.interval);
     this.dial.rest();
-    this.timeline.set({ points: [], strip: this.strip, range: [-HISTORY, 0], now: 0, columns: 300 });
+    this.timeline.set(this.#minute(0));
     showProblem(byId("live-problem"), null);
     byId("live-note").textContent = "";
     byId("live-title").textContent = "Now";
@@ -141,7 +143,9 @@ export class LiveView {
 
   #minute(now) {
     const { points, strip } = this;
-    return { points, strip, now, range: [now - HISTORY, now], columns: 300 };
+    const span = Math.min(HISTORY, Math.max(SHORTEST, now));
+    const columns = span * DOTS_PER_S;
+    return { points, strip, now, columns, share: span / HISTORY, range: [now - span, now] };
   }
 
   #stats({ audio_s: audio, results, dropped_s: dropped, gap_s: gap, results_dropped: skipped }) {

@@ -19,7 +19,6 @@ export class Live {
   constructor() {
     this.view = new LiveView();
     byId("live-stop").addEventListener("click", () => this.#stream?.stop?.());
-    byId("howto-command").textContent = command();
     document.addEventListener("visibilitychange", () => this.#poll());
   }
 
@@ -79,6 +78,7 @@ export class Live {
     const note = running.length ? `${running.length} of at most ${most}` : "No session is running.";
     if (byId("sessions-note").textContent !== note) byId("sessions-note").textContent = note;
     byId("howto").hidden = running.length > 0;
+    byId("howto-command").textContent = command(byId("array").value);
   }
 
   #entry(session) {
@@ -105,8 +105,12 @@ function course({ state, audio_s: audio, lag_ms: lag, num_sources: count, starte
   return `${duration(audio)}, ${counted(count, "source")}, lag ${Math.round(lag)} ms`;
 }
 
-/** The command that streams this machine's microphones to this service. */
-function command() {
+/** The commands that stream a machine's microphones to this service. */
+function command(array) {
   const address = new URL("./", document.baseURI).href.replace(/\/$/, "");
-  return `neuralmusic stream --url ${address} --array respeaker-usb-4mic-v2`;
+  const geometry = !array || array === "custom" ? "@array.json" : array;
+  return [
+    "neuralmusic stream --list-devices",
+    `neuralmusic stream --device NAME --array ${geometry} --url ${address}`,
+  ].join("\n");
 }

@@ -40,10 +40,11 @@ export class Strip {
     }
   }
 
-  /** Draw into a rectangle of a canvas. */
-  draw(context, x, y, width, height) {
-    context.imageSmoothingEnabled = true;
-    context.drawImage(this.#canvas, x, y, width, height);
+  /** Draw into a rectangle of a canvas; of a part only the newest `share` of the columns. */
+  draw(context, { x, y, width, height }, share = 1) {
+    const columns = this.#canvas.width * share;
+    const from = this.#canvas.width - columns;
+    context.drawImage(this.#canvas, from, 0, columns, ROWS, x, y, width, height);
   }
 
   #paint(spectrum, column, [red, green, blue]) {

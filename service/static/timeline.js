@@ -11,7 +11,7 @@ const DOT = { least: 1.1, most: 5 };
 const OUTLINED = 3; // pixels; smaller dots would be all outline
 
 export class Timeline {
-  #data = { points: [], strip: null, range: [0, 1], now: null, band: null, cursor: null, columns: 60 };
+  #data = { points: [], strip: null, share: 1, range: [0, 1], now: null, band: null, cursor: null, columns: 60 };
   #frame = 0;
 
   /** `onSelect` is called with a time in seconds where the user clicks. */
@@ -26,6 +26,7 @@ export class Timeline {
   /**
    * Change what is drawn; what is left out stays.
    * @param data.points of `t` (s), `azimuth`, `confidence`, `slot`, `active`
+   * @param data.strip the spectra behind the dots, of which the newest `data.share` are drawn
    * @param data.range first and last second
    * @param data.now the second that is called "now", or null for a recording
    * @param data.band first and last second of the window shown, or null
@@ -77,7 +78,7 @@ export class Timeline {
     const [first, last] = this.#data.range;
     const toX = (t) => plot.x + ((t - first) / (last - first || 1)) * plot.width;
     const toY = (azimuth) => plot.y + ((180 - signed(azimuth)) / 360) * plot.height;
-    this.#data.strip?.draw(context, plot.x, plot.y, plot.width, plot.height);
+    this.#data.strip?.draw(context, plot, this.#data.share);
     this.#drawAxes(context, plot, toX, toY);
     this.#drawBand(context, plot, toX);
     this.#drawDots(context, plot, toX, toY);

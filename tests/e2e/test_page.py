@@ -283,7 +283,8 @@ def test_a_recording_is_replayed_as_a_stream_that_others_watch(
     assert first != second
     for page in (here.page, watcher.page):
         expect(page.locator("#live-facts")).to_contain_text("any-array")
-    here.page.wait_for_function("document.querySelectorAll('#live-sources li').length === 2")
+    both_talk = "() => document.querySelector('#live-title').textContent >= 'Now, 7'"
+    here.page.wait_for_function(both_talk)
     keep_picture(here, "page-live")
 
     over = "The session has ended after 8."
