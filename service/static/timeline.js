@@ -8,7 +8,7 @@ const SIDES = [[180, "back"], [90, "left"], [0, "front"], [-90, "right"], [-180,
 const STEPS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600];
 const TICK_SPACE = 74; // pixels
 const DOT = { least: 1.1, most: 5 };
-const OUTLINED = 3; // pixels; smaller dots would be all outline
+const OUTLINED = 3; // pixels of radius; smaller dots would be all outline
 
 export class Timeline {
   #data = { points: [], strip: null, share: 1, range: [0, 1], now: null, band: null, cursor: null, columns: 60 };
@@ -131,9 +131,10 @@ export class Timeline {
   }
 
   #drawDots(context, plot, toX, toY) {
-    const { points, columns } = this.#data;
+    const { points, columns, now } = this.#data;
     const room = (plot.width / Math.max(columns, 1)) * 0.42;
     const most = Math.min(DOT.most, Math.max(DOT.least, room));
+    const outlined = now === null && most >= OUTLINED; // live dots overlap: they make a line
     const colours = new Map([[OTHER, colour("quiet")]]);
     for (let slot = 0; slot < COUNT; slot += 1) colours.set(slot, colour(`source-${slot}`));
     context.save();
@@ -149,7 +150,7 @@ export class Timeline {
       context.beginPath();
       context.arc(toX(t), toY(azimuth), most * (0.55 + 0.45 * sure), 0, 2 * Math.PI);
       context.fill();
-      if (most >= OUTLINED) context.stroke();
+      if (outlined) context.stroke();
     }
     context.restore();
   }

@@ -16,7 +16,16 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-ARGUMENTS = ("no-sandbox", "disable-gpu", "disable-quic", "no-first-run", "disable-sync")
+ARGUMENTS = (
+    "no-sandbox",
+    "disable-gpu",
+    "disable-quic",
+    "no-first-run",
+    "disable-background-networking",
+    "disable-component-update",
+    "disable-sync",
+    "disable-audio-output",
+)
 DESKTOP = {"width": 1280, "height": 900}
 PATIENCE = 30_000  # milliseconds until a hanging test fails
 

@@ -135,7 +135,7 @@ def test_where_nothing_runs_the_page_says_how_to_start(visit: Visits) -> None:
     here = open_live(visit, [])
     expect(here.page.locator("#sessions-note")).to_have_text("No session is running.")
     expect(here.page.locator("#howto-command")).to_contain_text(
-        f"neuralmusic stream --url {here.url}"
+        f"neuralmusic stream --device NAME --array {SESSION['array']} --url {here.url}"
     )
     here.page.click("#howto-replay")
     expect(here.page.locator("#file")).to_be_focused()

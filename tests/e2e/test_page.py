@@ -170,6 +170,18 @@ def test_a_dropped_file_is_taken_and_its_name_is_no_markup(visit: Visits) -> Non
     expect(here.page.locator("#problem")).to_contain_text("not_audio")
 
 
+def test_the_dial_follows_what_is_heard(visit: Visits) -> None:
+    here = visit()
+    here.localize(SAMPLE)
+    here.page.focus("#timeline")
+    here.page.keyboard.press("Home")
+    here.page.click("#listen")
+    expect(here.page.locator("#listen")).to_have_text("Pause")
+    expect(here.page.locator("#timeline")).to_have_attribute("aria-valuenow", "2")
+    here.page.click("#listen")
+    expect(here.page.locator("#listen")).to_have_text("Listen")
+
+
 def test_the_answer_can_be_downloaded(visit: Visits, tmp_path: Path) -> None:
     here = visit()
     with here.page.expect_response("**/localize") as answered:
