@@ -34,7 +34,7 @@ export class Dial {
       this.hub,
       this.needles,
     );
-    figure.replaceChildren(this.picture);
+    figure.prepend(this.picture);
     this.rest();
   }
 

@@ -35,7 +35,9 @@ export class Live {
     this.#leave();
     byId("live-stop").hidden = false;
     const replay = new Replay(setup, this.view, () => {
-      if (this.#stream === replay) byId("live-stop").hidden = true;
+      if (this.#stream !== replay) return;
+      if (document.activeElement === byId("live-stop")) byId("tab-live").focus();
+      byId("live-stop").hidden = true;
     });
     this.#stream = replay;
     return null;

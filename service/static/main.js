@@ -12,7 +12,9 @@ const live = new Live();
 const recording = new RecordingView((setup) => {
   const why = live.replay(setup);
   byId("setup-status").textContent = why ?? "";
-  if (!why) show("live");
+  if (why) return;
+  show("live");
+  byId("live-stop").focus();
 });
 
 function show(chosen) {
@@ -34,6 +36,7 @@ function listenToTabs() {
     show(other);
     byId(`tab-${other}`).focus();
   });
+  addEventListener("drop", () => show("recording"));
   byId("howto-replay").addEventListener("click", () => {
     show("recording");
     byId("file").focus();

@@ -43,7 +43,7 @@ export class Results {
       columns: answer.windows.length,
     });
     this.#select(strong);
-    this.#showSummary(answer);
+    this.#showSummary(answer, file.name);
     showWarnings(answer.warnings);
     this.#offerDownloads(answer, text, file.name.replace(/\.[^.]+$/, ""));
     this.player.offer(file, answer.array.channel_map[0]);
@@ -130,7 +130,7 @@ export class Results {
     this.#seek((from + to) / 2);
   }
 
-  #showSummary(answer) {
+  #showSummary(answer, name) {
     const heads = ["Direction", "", "Confidence", "Heard in"];
     const head = element("tr", {}, ...heads.map((text) => element("th", { scope: "col", text })));
     const rows = answer.summary.sources.map((source) =>
@@ -152,7 +152,7 @@ export class Results {
     const by = model ? `${model.name} ${model.version}` : METHODS[method];
     const heard = `“Heard in” counts the windows in which anything is heard.`;
     byId("answer-facts").textContent =
-      `${duration(audio.duration_s)} at ${audio.sample_rate / 1000} kHz, ${array.name}, by ${by}. ${heard}`;
+      `${name}: ${duration(audio.duration_s)} at ${audio.sample_rate / 1000} kHz, ${array.name}, by ${by}. ${heard}`;
   }
 
   #offerDownloads(answer, text, name) {

@@ -35,6 +35,7 @@ def url() -> Iterator[str]:
     """A service of its own process on a free port."""
     command = [sys.executable, "-c", "from service.cli import main; main()", "serve", "--port", "0"]
     environment = {k: v for k, v in os.environ.items() if k != "NEURALMUSIC_SCREENSHOTS"}
+    environment["NEURALMUSIC_LOG_LEVEL"] = "warning"  # nobody reads the pipe: it must not fill up
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment
     ) as process:

@@ -200,6 +200,21 @@ def test_a_broken_connection_is_told_and_mended(visit: Visits, square: Microphon
     assert here.azimuths("#live-sources .azimuth") == [50]
 
 
+def test_why_a_watched_session_broke_off_is_said(visit: Visits, square: MicrophoneArray) -> None:
+    error = StreamError(
+        seq=2,
+        code="session_limit",
+        title="Session limit",
+        detail="the session reached 3600 s, its longest duration",
+        retryable=True,
+        close_code=4410,
+    )
+    here = open_live(visit, [SESSION], events(ready(square), result(1, source(7, 45.0)), error))
+    here.page.click("#sessions button")
+    expect(here.page.locator("#live-problem .detail")).to_have_text(error.detail)
+    expect(here.page.locator("#live-state")).to_have_text("The stream has ended with a problem.")
+
+
 def test_a_session_that_is_gone_is_not_asked_for_again(
     visit: Visits, square: MicrophoneArray
 ) -> None:

@@ -155,6 +155,30 @@ def test_what_the_service_refuses_is_said_in_its_own_words(visit: Visits, tmp_pa
     expect(here.page.locator("#problem .detail")).to_have_text(problem["detail"])
 
 
+def test_a_page_that_is_opened_too_early_waits_for_the_service(visit: Visits) -> None:
+    here = visit()
+    here.refusals = 1
+    problem = {"title": "Not ready", "detail": "the models are being loaded", "code": "not_ready"}
+    here.page.route("**/models", lambda route: route.fulfill(status=503, json=problem), times=1)
+    here.page.reload()
+    expect(here.page.locator("#problem .detail")).to_have_text(problem["detail"])
+    expect(here.page.locator("#health")).to_contain_text("ready ·")
+    expect(here.page.locator("#problem")).to_be_hidden()
+
+
+def test_what_is_wrong_with_a_recording_is_said(
+    visit: Visits, square: MicrophoneArray, plane_waves: Any, tmp_path: Path
+) -> None:
+    path = tmp_path / "dead.wav"
+    recording = plane_waves(square, [77.0], seconds=2.0)
+    recording[2] = 0.0
+    soundfile.write(path, recording.T, 16000)
+    here = visit()
+    here.localize(path)
+    expect(here.page.locator("#warnings strong")).to_have_text("A microphone is silent")
+    expect(here.page.locator("#warnings span")).to_contain_text("2")
+
+
 def test_a_dropped_file_is_taken_and_its_name_is_no_markup(visit: Visits) -> None:
     here = visit()
     name = "<img src=x onerror=alert(1)>.wav"
