@@ -12,7 +12,6 @@ const ENDED_SHOWN = 4;
 
 export class Live {
   #stream = null;
-  #watched = null;
   #timer = 0;
   #visible = false;
 
@@ -44,15 +43,15 @@ export class Live {
   }
 
   #watch({ id, state }) {
+    if (id === this.#stream?.session && state === "running") return;
     this.#leave();
-    this.#watched = id;
     this.#stream = new Watch(id, this.view, state === "ended");
     this.#poll();
   }
 
   #leave() {
     const before = this.#stream;
-    this.#stream = this.#watched = null;
+    this.#stream = null;
     byId("live-stop").hidden = true;
     if (before instanceof Replay) before.abandon();
     else before?.close();
@@ -86,9 +85,10 @@ export class Live {
   #entry(session) {
     const { id, client, array, model, method, state } = session;
     const opened = array ? `${array}, ${model ?? METHODS[method]}` : "opening";
+    const shown = String(id === this.#stream?.session);
     const button = element(
       "button",
-      { type: "button", class: state, "data-id": id, "aria-pressed": String(id === this.#watched) },
+      { type: "button", class: state, "data-id": id, "aria-pressed": shown },
       element("strong", { text: client ?? id }),
       element("span", { text: opened }),
       element("span", { text: course(session) }),

@@ -26,6 +26,9 @@ export class Replay {
   #stopped = false;
   #ended = false;
 
+  /** The session's id, once the service has told it. */
+  session = null;
+
   /** `onEnd` is called once when the stream is over. */
   constructor(setup, view, onEnd) {
     this.file = setup.file;
@@ -61,6 +64,7 @@ export class Replay {
     this.view.receive(message);
     if (message.type === "error" || message.type === "summary") this.#ended = true;
     if (message.type === "ready") {
+      this.session = message.session;
       this.began = performance.now();
       this.view.say(`Replaying ${this.file.name}.`, "live");
       this.#send();

@@ -13,13 +13,14 @@ const OUTLINED = 3; // pixels of radius; smaller dots would be all outline
 export class Timeline {
   #data = { points: [], strip: null, share: 1, range: [0, 1], now: null, band: null, cursor: null, columns: 60 };
   #frame = 0;
+  #layer = null; // everything but the window shown, which moves while a recording plays
 
   /** `onSelect` is called with a time in seconds where the user clicks. */
   constructor(canvas, onSelect = null) {
     this.canvas = canvas;
     this.onSelect = onSelect;
-    new ResizeObserver(() => this.#request()).observe(canvas);
-    onThemeChange(() => this.#request());
+    new ResizeObserver(() => this.#renew()).observe(canvas);
+    onThemeChange(() => this.#renew());
     if (onSelect) this.#listen();
   }
 
@@ -35,6 +36,12 @@ export class Timeline {
    */
   set(data) {
     Object.assign(this.#data, data);
+    if (Object.keys(data).every((name) => name === "band" || name === "cursor")) this.#request();
+    else this.#renew();
+  }
+
+  #renew() {
+    this.#layer = null;
     this.#request();
   }
 
@@ -64,11 +71,6 @@ export class Timeline {
   #draw() {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (!width || !height) return;
-    const ratio = devicePixelRatio || 1;
-    this.canvas.width = Math.round(width * ratio);
-    this.canvas.height = Math.round(height * ratio);
-    const context = this.canvas.getContext("2d");
-    context.scale(ratio, ratio);
     const plot = {
       x: MARGIN.left,
       y: MARGIN.top,
@@ -78,10 +80,16 @@ export class Timeline {
     const [first, last] = this.#data.range;
     const toX = (t) => plot.x + ((t - first) / (last - first || 1)) * plot.width;
     const toY = (azimuth) => plot.y + ((180 - signed(azimuth)) / 360) * plot.height;
-    this.#data.strip?.draw(context, plot, this.#data.share);
-    this.#drawAxes(context, plot, toX, toY);
+    if (!this.#layer) {
+      this.#layer = document.createElement("canvas");
+      const context = sized(this.#layer, width, height);
+      this.#data.strip?.draw(context, plot, this.#data.share);
+      this.#drawAxes(context, plot, toX, toY);
+      this.#drawDots(context, plot, toX, toY);
+    }
+    const context = sized(this.canvas, width, height);
+    context.drawImage(this.#layer, 0, 0, width, height);
     this.#drawBand(context, plot, toX);
-    this.#drawDots(context, plot, toX, toY);
   }
 
   #drawAxes(context, plot, toX, toY) {
@@ -165,6 +173,16 @@ function signed(azimuth) {
 function clock(seconds) {
   if (seconds < 60) return `${Number(seconds.toFixed(1))} s`;
   return `${Math.floor(seconds / 60)}:${String(Math.round(seconds % 60)).padStart(2, "0")}`;
+}
+
+/** The context of a canvas in CSS pixels, cleared and as sharp as the screen. */
+function sized(canvas, width, height) {
+  const ratio = devicePixelRatio || 1;
+  canvas.width = Math.round(width * ratio);
+  canvas.height = Math.round(height * ratio);
+  const context = canvas.getContext("2d");
+  context.scale(canvas.width / width, canvas.height / height);
+  return context;
 }
 
 function stroke(context, x1, y1, x2, y2) {

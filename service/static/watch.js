@@ -14,8 +14,8 @@ export class Watch {
   #failures = 0;
   #over = false;
 
-  constructor(id, view, ended) {
-    this.id = id;
+  constructor(session, view, ended) {
+    this.session = session;
     this.view = view;
     this.ended = ended;
     view.begin("Opening the session…");
@@ -30,7 +30,7 @@ export class Watch {
   }
 
   #open() {
-    this.#source = new EventSource(eventsAddress(this.id));
+    this.#source = new EventSource(eventsAddress(this.session));
     for (const type of TYPES) {
       this.#source.addEventListener(type, (event) => {
         if (event.data !== undefined) this.#take(type, JSON.parse(event.data));
@@ -65,7 +65,7 @@ export class Watch {
     try {
       const { sessions: known } = await sessions();
       if (this.#over) return;
-      if (known.some(({ id, state }) => id === this.id && state === "running")) this.#open();
+      if (known.some(({ id, state }) => id === this.session && state === "running")) this.#open();
       else {
         this.close();
         this.view.say("The session has ended.", "ended");

@@ -26,7 +26,7 @@ ARGUMENTS = (
     "disable-sync",
     "disable-audio-output",
 )
-DESKTOP = {"width": 1280, "height": 900}
+DESKTOP = {"width": 1280, "height": 960}
 PATIENCE = 30_000  # milliseconds until a hanging test fails
 
 
