@@ -20,6 +20,14 @@ from dataclasses import dataclass
 
 from service.doa.peaks import circular_difference
 
+TURN = 2 * math.pi
+
+
+def wrapped(azimuth: float) -> float:
+    """Radians in [0, 2 pi), also where the remainder rounds up to a whole turn."""
+    remainder = azimuth % TURN
+    return remainder if remainder < TURN else 0.0
+
 
 @dataclass(slots=True)
 class AzimuthFilter:
@@ -52,7 +60,7 @@ class AzimuthFilter:
         lost = 1 - kept
         reach = damping * lost  # seconds that the present velocity still carries
         power = spread * spread
-        self.azimuth = (self.azimuth + reach * self.velocity) % (2 * math.pi)
+        self.azimuth = wrapped(self.azimuth + reach * self.velocity)
         self.velocity *= kept
         self.azimuth_variance += reach * (
             2 * self.covariance + reach * self.velocity_variance
@@ -76,7 +84,7 @@ class AzimuthFilter:
         innovation = circular_difference(azimuth, self.azimuth)
         total = self.azimuth_variance + variance
         azimuth_gain, velocity_gain = self.azimuth_variance / total, self.covariance / total
-        self.azimuth = (self.azimuth + azimuth_gain * innovation) % (2 * math.pi)
+        self.azimuth = wrapped(self.azimuth + azimuth_gain * innovation)
         moved = self.velocity + velocity_gain * innovation
         self.velocity = min(max(moved, -fastest), fastest)
         self.velocity_variance -= velocity_gain * self.covariance

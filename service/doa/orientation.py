@@ -10,6 +10,9 @@ import numpy as np
 
 from service.doa.types import FloatArray
 
+WIRE_GRID = 360
+"""Values of a spectrum as users get it"""
+
 
 @dataclass(frozen=True, slots=True)
 class Orientation:
@@ -39,12 +42,10 @@ class Orientation:
         )
 
     def spectrum_on_robot(self, spectrum: FloatArray) -> FloatArray:
-        """A spectrum (A,) of the array's azimuths on the grid of the robot's, interpolated."""
-        if self.yaw == 0:
+        """A spectrum (A,) of the array's azimuths at 0, 1, ... 359 degrees of the robot's."""
+        if self.yaw == 0 and spectrum.size == WIRE_GRID:
             return spectrum
-        size = spectrum.size
-        places = (np.arange(size) - self.yaw / (2 * math.pi) * size) % size
-        turned: FloatArray = np.interp(
-            places, np.arange(size + 1), np.append(spectrum, spectrum[0])
-        )
-        return turned
+        turned = np.arange(WIRE_GRID) / WIRE_GRID - self.yaw / (2 * math.pi)
+        closed = np.append(spectrum, spectrum[0])
+        values: FloatArray = np.interp(turned % 1 * spectrum.size, np.arange(closed.size), closed)
+        return values

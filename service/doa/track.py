@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from service.doa.kalman import AzimuthFilter
+from service.doa.kalman import AzimuthFilter, wrapped
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,36 +65,44 @@ class TrackerParameters:
     """Radians per second, standard deviation of talkers' velocities: a walk past at 2 m"""
     damping_s: float = 3.0
     """Seconds in which a talker forgets its velocity: people stop and turn"""
-    coasting_damping_s: float = 0.4
+    coasting_damping_s: float = 0.8
     """Seconds, the same in a pause: nothing says that the walk goes on"""
     fastest: float = math.radians(120.0)
     """Radians per second: 1 m/s at half a metre"""
-    lag_s: float = 0.15
-    """Seconds by which detections of a moving talker are late: their window's middle"""
-    gate: float = 9.0
-    """Squared Mahalanobis distance up to which a detection may belong to a track: 3 sigma"""
+    lag_s: float = 0.3
+    """Seconds by which tracks of a moving talker are late: half a window and the filter's delay"""
+    lag_spread_s: float = 0.2
+    """Seconds, standard deviation of that: loud syllables hold a detection back while they last"""
+    gate: float = 12.0
+    """Squared Mahalanobis distance up to which a detection may belong to a track: 3.5 sigma"""
+    alone: float = 16.0
+    """What it costs a track to go without a detection, in the same measure: more than the gate by
+    the log-variance of a track that has coasted long"""
     widest: float = math.radians(30.0)
     """Radians, bound on the same: further away it is somebody else, whatever the variance"""
     separation: float = math.radians(15.0)
     """Radians: what is closer may be one talker; the localizer tells hardly any closer apart"""
     crowding: float = 16.0
-    """How much larger the error variance is in the company of another track"""
-    hit_gain: float = 1.0
+    """How much larger the error variance is while two tracks pass each other"""
+    hit_gain: float = 0.5
     """Nats that a detection in the gate is worth besides its confidence's log-odds"""
     miss_rate: float = 4.0
     """Nats per second that silence takes: a sure track lives on for 1.7 s, a new one for 0.6 s"""
     shadow_rate: float = 1.0
-    """Nats per second, the same of a track whose neighbour was heard: one may hide the other"""
+    """Nats per second, the same while two tracks pass each other: one may hide the other"""
+    passing: float = math.radians(10.0)
+    """Radians per second between two near tracks that pass each other; of slower ones nothing says
+    that they will part"""
     most_evidence: float = 4.6
     """Nats, bound on the existence, 99 %: an hour of speech must not outlive minutes of silence"""
-    confirmation: float = 1.7
-    """Nats, 85 %, from which a track is reported"""
+    confirmation: float = 2.0
+    """Nats, 88 %, from which a track is reported"""
     death: float = -2.2
     """Nats, 10 %, at which a track ends"""
-    hold_s: float = 0.25
+    hold_s: float = 0.35
     """Seconds after its last detection that a track still counts as active: between syllables"""
-    merge_s: float = 1.5
-    """Seconds that two tracks are never heard apart before they are one: crossings are shorter"""
+    merge_s: float = 0.6
+    """Seconds for which one of two near tracks is not heard before it goes into the other"""
     most_tracks: int = 8
     """Tracks at once, tentative ones included: bounds the cost"""
 
@@ -113,17 +121,16 @@ class Hypothesis:
     """When it was last heard, or hidden by a neighbour while it was active"""
     id: int | None = None
     """None until it is confirmed"""
-    shared_s: float = 0.0
-    """Seconds since it and a neighbour were last heard apart"""
 
     @classmethod
     def of(cls, parameters: TrackerParameters, detection: Detection, time: float) -> Hypothesis:
         """A track that begins with a detection."""
-        azimuth = detection.azimuth % (2 * math.pi)
-        variance = error_variance(parameters, detection.confidence)
-        state = AzimuthFilter(azimuth, 0.0, variance, 0.0, parameters.spread**2)
+        azimuth = wrapped(detection.azimuth)
+        state = AzimuthFilter(azimuth, 0.0, 0.0, 0.0, parameters.spread**2)
         evidence = min(log_odds(detection.confidence), parameters.most_evidence)
-        return cls(parameters, state, evidence, time, time, time)
+        new = cls(parameters, state, evidence, time, time, time)
+        state.azimuth_variance = new.error(detection.confidence)
+        return new
 
     def predict(self, duration: float, time: float) -> None:
         """Move on by a duration up to a stream time, both in seconds."""
@@ -131,24 +138,41 @@ class Hypothesis:
         coasting = not self.active(time - duration)
         self.filter.predict(duration, p.coasting_damping_s if coasting else p.damping_s, p.spread)
 
-    def hear(self, detection: Detection, duration: float, time: float, *, crowded: bool) -> None:
-        """Take in a detection, ``crowded`` if it may be a neighbour's as well."""
+    def error(self, confidence: float) -> float:
+        """Radians squared, the error variance of a detection of this track.
+
+        Unsure detections are further off, up to ten degrees, and late ones by the way that the
+        talker has gone since.
+        """
+        p = self.parameters
+        late = p.lag_spread_s * self.filter.velocity
+        return (p.error / max(confidence, 0.3)) ** 2 + late * late
+
+    def hear(self, detection: Detection, duration: float, time: float, *, passing: bool) -> None:
+        """Take in a detection, that may be a neighbour's if the two are ``passing``."""
         p = self.parameters
         news = min(1.0, max(duration, 1e-3) / p.correlation_s)
-        variance = error_variance(p, detection.confidence) / news * (p.crowding if crowded else 1)
+        variance = self.error(detection.confidence) / news
         # Two talkers that cross are heard as one between them, or as each other: until they are
         # apart again their velocities know better than detections.
+        variance *= p.crowding if passing else 1
         self.filter.correct(detection.azimuth, variance, p.fastest)
         gain = p.hit_gain + log_odds(detection.confidence)
         self.evidence = min(self.evidence + news * gain, p.most_evidence)
         self.last_heard = self.last_active = time
 
-    def miss(self, duration: float, time: float, *, shadowed: bool) -> None:
+    def miss(self, duration: float, time: float, *, passing: bool) -> None:
         """Take in that nothing was detected for a duration, perhaps for a neighbour's sake."""
-        if shadowed and self.active(time - duration):
+        if passing and self.active(time - duration):
             self.last_active = time
-        rate = self.parameters.shadow_rate if shadowed else self.parameters.miss_rate
+        rate = self.parameters.shadow_rate if passing else self.parameters.miss_rate
         self.evidence -= rate * duration
+
+    def succeed(self, other: Hypothesis) -> None:
+        """Go on as another track of the same talker, under one's own id."""
+        self.filter, self.last_heard = other.filter, other.last_heard
+        self.last_active = max(self.last_active, other.last_active)
+        self.evidence = max(self.evidence, other.evidence)
 
     def active(self, time: float) -> bool:
         """Heard just now, or hidden by a neighbour that was."""
@@ -164,7 +188,7 @@ class Hypothesis:
         ahead = self.parameters.lag_s * state.velocity * power / (power + state.velocity_variance)
         return Track(
             id=self.id,
-            azimuth=(state.azimuth + ahead) % (2 * math.pi),
+            azimuth=wrapped(state.azimuth + ahead),
             velocity=state.velocity,
             variance=state.azimuth_variance,
             confidence=1 / (1 + math.exp(-self.evidence)),
@@ -178,8 +202,3 @@ def log_odds(probability: float) -> float:
     """Nats; certainty is bounded at one in a thousand, which no localizer is sure of."""
     bounded = min(max(probability, 1e-3), 1 - 1e-3)
     return math.log(bounded / (1 - bounded))
-
-
-def error_variance(parameters: TrackerParameters, confidence: float) -> float:
-    """Radians squared: unsure detections are further off, up to ten degrees."""
-    return (parameters.error / max(confidence, 0.3)) ** 2

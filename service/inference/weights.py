@@ -13,7 +13,7 @@ from service.doa.features import coherence_features
 from service.doa.mirror import into_searched_half
 from service.doa.steering import azimuth_grid, resolution, steering_vectors
 from service.doa.stft import Stft
-from service.doa.subspace import eigenvector_power
+from service.doa.subspace import eigenvector_power, principal_eigenvector
 from service.doa.types import ComplexArray, FloatArray
 from service.inference.bundle import Bundle
 from service.inference.candidates import Candidates, find_candidates
@@ -159,11 +159,10 @@ def principal_eigenvectors(covariance: ComplexArray) -> tuple[ComplexArray, Floa
     dominance : (F, K) float32
         Share of the largest eigenvalue: 0 in an isotropic field, 1 for a single plane wave.
     """
-    values, vectors = np.linalg.eigh(covariance)
+    vectors, share = principal_eigenvector(covariance)
     microphones = covariance.shape[-1]
-    share = values[..., -1] / np.maximum(values.sum(axis=-1), np.finfo(np.float32).tiny)
     dominance = np.clip((share - 1 / microphones) / (1 - 1 / microphones), 1e-4, 1)
-    return np.swapaxes(vectors[..., -1], -1, -2), dominance.astype(np.float32)
+    return np.swapaxes(vectors, -1, -2), dominance.astype(np.float32)
 
 
 class SourceCounter:

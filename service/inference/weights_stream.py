@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,6 +38,9 @@ FEATURE_REACH = 2
 """Frames that the features look back"""
 LEVEL_FRAMES = 64
 """A second, over which levels are relative to the mean: the network's training window"""
+GRID_SIZE = 180
+"""Azimuths of a stream's spectra, half of a recording's: peaks are wider than 2 degrees, and the
+parabola through three angles does the rest"""
 WINDOW_BLOCKS = 5
 """Blocks of a result, the open ones among them: 0.51 to 0.64 s. Shorter ones count worse, longer
 ones smear a moving talker"""
@@ -101,7 +104,7 @@ class WeightsStream:
 
     def __init__(self, bundle: Bundle, array: MicrophoneArray) -> None:
         assert bundle.covariance_stream is not None
-        analysis = analysis_of(bundle)
+        analysis = replace(analysis_of(bundle), grid_size=GRID_SIZE)
         self._search = CandidateSearch(bundle.covariance, analysis, array)
         self._counter = SourceCounter(bundle.source_count)
         self._network = NetworkStream(
