@@ -41,7 +41,7 @@ export function arrayPlot(positions) {
   picture.append(
     shape("path", { class: "axis", d: "M0 52V-54M-3 -49 0 -55 3 -49M52 0H-54M-49 -3-55 0-49 3" }),
     shape("text", { class: "axis-name", x: 7, y: -52, text: "x" }),
-    shape("text", { class: "axis-name", x: -53, y: 9, text: "y" }),
+    shape("text", { class: "axis-name", x: -55, y: -8, text: "y" }),
     microphones(positions, 36, { dot: 3.2 }),
   );
   const { radius } = positions.length ? extent(positions) : { radius: 0 };

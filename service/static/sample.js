@@ -6,6 +6,7 @@ const SECONDS = 8;
 const RATE = 16000;
 const SPEED_OF_SOUND = 343;
 const TAPS = 33; // of the fractional delays
+const TILT = 0.75; // one pole: a voice is weaker the higher, above about 700 Hz
 const NOISE = 0.02;
 const PEAK = 0.5;
 
@@ -44,6 +45,7 @@ function speech(random, turns) {
       start += length + Math.round(uniform(0.01, 0.06) * RATE);
     }
   }
+  for (let t = 1; t < signal.length; t += 1) signal[t] += TILT * (signal[t - 1] - signal[t]);
   return signal;
 }
 

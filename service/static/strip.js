@@ -4,8 +4,8 @@ import { colour } from "./colours.js";
 
 const ROWS = 180;
 const MAX_COLUMNS = 2000;
-const STRENGTH = 215; // alpha, of 255, where the spectrum is 1
-const CONTRAST = 2.3; // exponent: the floor of a spectrum is not zero
+const STRENGTH = 230; // alpha, of 255, where the spectrum is 1
+const CONTRAST = 1.4; // exponent
 
 export class Strip {
   #canvas = document.createElement("canvas");
@@ -49,11 +49,12 @@ export class Strip {
 
   #paint(spectrum, column, [red, green, blue]) {
     if (!spectrum) return;
+    const floor = Math.min(0.99, Math.max(0, Math.min(...spectrum))); // never zero; says nothing
     const image = this.#context.createImageData(1, ROWS);
     for (let row = 0; row < ROWS; row += 1) {
       // The top row is 180 degrees, the middle 0, the bottom -180.
       const degree = (540 - 2 * row) % 360;
-      const value = Math.min(1, Math.max(0, spectrum[degree] ?? 0));
+      const value = Math.min(1, Math.max(0, (spectrum[degree] - floor) / (1 - floor)));
       image.data.set([red, green, blue, STRENGTH * value ** CONTRAST], 4 * row);
     }
     this.#context.putImageData(image, column, 0);
