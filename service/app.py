@@ -12,11 +12,12 @@ from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
 from service import __version__
-from service.api import catalog, localize, page, probes, sessions, stream
+from service.api import catalog, localize, noise, page, probes, sessions, stream
 from service.api.limits import BodyLimit
 from service.api.problems import Problem, install_problem_handlers
 from service.api.state import ServiceState
 from service.api.workers import WorkerPool
+from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.settings import Settings, load_settings
 from service.startup import load_registry, warm_up
@@ -34,6 +35,7 @@ y left, z up). Positions are metres, times seconds. Errors are RFC 9457 problems
 TAGS = [
     {"name": "localization", "description": "Recordings in, directions out."},
     {"name": "streams", "description": "Who streams, what they get. The stream itself is /stream."},
+    {"name": "noise", "description": "Profiles of the robot's own noise."},
     {"name": "catalog", "description": "What requests may name."},
     {"name": "service", "description": "Web page and probes."},
 ]
@@ -57,6 +59,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
         SessionRegistry(settings.max_sessions),
         ThreadPoolExecutor(settings.workers, thread_name_prefix="stream"),
         registry,
+        NoiseStore(settings.noise_folder),
     )
 
     @asynccontextmanager
@@ -81,7 +84,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
     app.state.service = state
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
     install_problem_handlers(app)
-    for each in (localize, stream, sessions, catalog, probes, page):
+    for each in (localize, stream, sessions, noise, catalog, probes, page):
         app.include_router(each.router)
     return app
 

@@ -9,6 +9,9 @@ DoaError
 │  └─ UnknownArray · InvalidGeometry · InvalidChannelMap
 ├─ OptionError
 │  └─ UnknownModel · UnknownMethod · InvalidOption · TooManySources · GeometryMismatch
+├─ NoiseError
+│  ├─ UnknownNoise · NoiseMismatch · NoiseProfileInvalid · NoiseCalibrationFailed
+│  └─ NoiseStoreFull
 ├─ UploadError
 │  └─ MissingAudio · UploadTooLarge · UnsupportedMediaType
 ├─ StreamProtocolError
@@ -161,6 +164,42 @@ class GeometryMismatch(OptionError):
     """The named bundle is bound to another array."""
 
     code, title = "geometry_mismatch", "The model is bound to another array"
+
+
+class NoiseError(DoaError):
+    """A profile of the robot's own noise cannot be learnt, stored or used."""
+
+    code, status, title = "noise_error", 422, "Unusable noise profile"
+
+
+class UnknownNoise(NoiseError):
+    """No noise profile is stored under this name."""
+
+    code, title = "noise_unknown", "Unknown noise profile"
+
+
+class NoiseMismatch(NoiseError):
+    """The noise profile was learnt with another array or other frames."""
+
+    code, title = "noise_mismatch", "The noise profile does not fit"
+
+
+class NoiseProfileInvalid(NoiseError):
+    """The bytes are no noise profile that this version reads."""
+
+    code, title = "noise_invalid", "Invalid noise profile"
+
+
+class NoiseCalibrationFailed(NoiseError):
+    """There is too little or no noise to learn a profile from."""
+
+    code, title = "noise_calibration_failed", "Noise calibration failed"
+
+
+class NoiseStoreFull(NoiseError):
+    """The service holds as many noise profiles as it keeps."""
+
+    code, status, title = "noise_full", 409, "Too many noise profiles"
 
 
 class UploadError(DoaError):

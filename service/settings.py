@@ -80,6 +80,8 @@ class Settings(BaseSettings):
     """Seconds after which a stream ends"""
     origins: Annotated[tuple[str, ...], NoDecode] = ()
     """Origins of web pages that may open streams besides the service's own, by commas; * for all"""
+    noise_folder: Path | None = None
+    """Folder in which noise profiles outlive the process; None keeps them in memory"""
     log_level: LogLevel = "info"
     """Least severe messages that are logged"""
 

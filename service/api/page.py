@@ -132,6 +132,7 @@ def _signpost() -> RootAnswer:
         "sessions": "/sessions",
         "models": "/models",
         "arrays": "/arrays",
+        "noise": "/noise",
         "documentation": "/docs",
         "openapi": "/openapi.json",
     }

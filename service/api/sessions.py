@@ -60,7 +60,7 @@ class SessionAnswer(Answer):
         last = account.history[-1].points if account.history else ()
         return cls(
             id=entry.id,
-            client=entry.client_name,
+            client=entry.client,
             array=ready.array.name if ready else None,
             model=ready.model.name if ready and ready.model else None,
             method=ready.method if ready else None,

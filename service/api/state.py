@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from fastapi import Request
 
 from service.api.workers import WorkerPool
 from service.audio import AudioLimits
 from service.errors import Draining, NotReady
+from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.settings import Settings
 from service.streaming.registry import SessionRegistry
@@ -26,6 +27,8 @@ class ServiceState:
     """Threads that streams compute in"""
     registry: BundleRegistry | None = None
     """None until the bundles are loaded and self-tested"""
+    noise: NoiseStore = field(default_factory=NoiseStore)
+    """Profiles of robots' own noises"""
 
     @property
     def audio_limits(self) -> AudioLimits:

@@ -11,10 +11,11 @@ from service.api.origins import check_origin
 from service.api.outbox import Outbox, message_json
 from service.api.problems import problem_response
 from service.api.state import ServiceState
-from service.errors import DoaError, SubprotocolMissing
+from service.errors import DoaError, SubprotocolMissing, TooManySessions
 from service.protocol import SUBPROTOCOL
+from service.protocol.client_messages import Start
 from service.protocol.server_messages import OdasSsl, OdasSst, Result, ServerMessage, Stats
-from service.streaming.opening import open_stream
+from service.streaming.opening import OpenedStream, open_stream
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session
 
@@ -53,6 +54,18 @@ def _check_handshake(websocket: WebSocket, state: ServiceState) -> None:
     state.streams.check()
 
 
+def _open(start: Start, state: ServiceState) -> OpenedStream:
+    """Open a stream unless its client has too many."""
+    most = state.settings.max_sessions_per_client
+    named = [each for each in state.streams.entries() if each.client == start.client]
+    if start.client is not None and len(named) > most:
+        raise TooManySessions(
+            f"the client {start.client} has {most} streams, as many as one may: close one, or "
+            "raise NEURALMUSIC_MAX_SESSIONS_PER_CLIENT"
+        )
+    return open_stream(start, state.models(), state.noise)
+
+
 class Connection:
     """Moves messages between a WebSocket, a session and the worker threads."""
 
@@ -64,10 +77,11 @@ class Connection:
         self._streams = state.streams
         self._outbox = Outbox()
         self._room = asyncio.Event()
+        self._room.set()  # the first message has room before anything was pumped
         reporter = self._reporter = Reporter(self._emit)
         self.session = Session(
             self._streams.new_id(),
-            partial(open_stream, registry=state.models()),
+            partial(_open, state=state),
             reporter,
             SessionLimits(settings.stream_buffer, settings.idle_timeout, settings.max_session),
             self._loop.time(),

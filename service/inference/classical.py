@@ -12,6 +12,7 @@ from service.doa.peaks import find_peaks
 from service.doa.steering import azimuth_grid, steering_vectors
 from service.doa.stft import Stft
 from service.doa.types import ComplexArray, FloatArray
+from service.doa.whitening import NoiseCovariance, Whitening
 from service.inference.results import Method, Source, WindowEstimate
 
 BAND = (300.0, 3500.0)
@@ -27,12 +28,22 @@ LEAST_RESPONSE = 0.03
 class ClassicalLocalizer:
     """MUSIC, NormMUSIC or SRP-PHAT on windows of one array's audio."""
 
-    def __init__(self, method: Method, array: MicrophoneArray, stft: Stft | None = None) -> None:
+    def __init__(
+        self,
+        method: Method,
+        array: MicrophoneArray,
+        stft: Stft | None = None,
+        noise: NoiseCovariance | None = None,
+    ) -> None:
         self._method = method
         self._stft = stft or Stft()
         frequencies = self._stft.frequencies
         self._band = (frequencies >= BAND[0]) & (frequencies <= BAND[1])
         self._steering = steering_vectors(array.positions, frequencies[self._band], azimuth_grid())
+        self._whitening: Whitening | None = None
+        if noise is not None:
+            self._whitening = Whitening.fitting(noise, array, self._stft).band(self._band)
+            self._steering = self._whitening.steering(self._steering)
         self._searched = searched_half(array, azimuth_grid())
         self._most_sources = array.num_microphones - 1
 
@@ -48,6 +59,8 @@ class ClassicalLocalizer:
     def covariance(self, spectra: ComplexArray) -> ComplexArray:
         """What the method needs of spectra (N, F, L): (F', N, N), a mean over frames."""
         band = spectra[:, self._band]
+        if self._whitening is not None:
+            band = self._whitening.apply(band)
         return sample_covariance(
             classical.phase_transform(band) if self._method == "srp_phat" else band
         )

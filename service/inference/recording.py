@@ -60,7 +60,11 @@ def localize_recording(
     check_num_sources(options.num_sources, array)
     method, bundle = choose_method(options.method, options.model, array, registry)
     stft = bundle.stft if bundle else Stft()
-    localizer = localizer_of(bundle, array) if bundle else ClassicalLocalizer(method, array, stft)
+    localizer = (
+        localizer_of(bundle, array, options.noise)
+        if bundle
+        else ClassicalLocalizer(method, array, stft, options.noise)
+    )
     diagnostics = ChannelDiagnostics(stft.sample_rate, array.num_microphones, channel_map)
     blocks = _observed(recording.blocks(channel_map, stft.sample_rate), diagnostics)
     cut = windows(blocks, stft.sample_rate, options.window_s, options.hop_s, stft.n_fft - stft.hop)

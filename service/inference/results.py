@@ -8,6 +8,7 @@ from typing import Literal, get_args
 
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
+from service.doa.whitening import NoiseCovariance
 
 Method = Literal["neural", "norm_music", "music", "srp_phat"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -100,6 +101,8 @@ class LocalizeOptions:
     """Seconds per window"""
     hop_s: float = DEFAULT_HOP_S
     """Seconds between windows"""
+    noise: NoiseCovariance | None = None
+    """The robot's own noise, to be taken away"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,8 +20,11 @@ import numpy as np
 from service.doa.array import MicrophoneArray
 from service.doa.stft import Stft
 from service.doa.types import ComplexArray
-from service.inference.bundle import Bundle
+from service.doa.whitening import NoiseCovariance
+from service.errors import InvalidOption
+from service.inference.bundle import COVARIANCE_STREAM, Bundle
 from service.inference.classical import ClassicalLocalizer
+from service.inference.localizer import localizer_of
 from service.inference.regression import RegressionLocalizer
 from service.inference.results import Method, WindowEstimate
 from service.inference.weights import BLOCK_FRAMES
@@ -87,11 +90,29 @@ class WindowStream:
 
 
 def stream_localizer_of(
-    method: Method, bundle: Bundle | None, array: MicrophoneArray, stft: Stft
+    method: Method,
+    bundle: Bundle | None,
+    array: MicrophoneArray,
+    stft: Stft,
+    noise: NoiseCovariance | None = None,
 ) -> StreamLocalizer:
-    """The localizer of a method for a stream; ``bundle`` is None for the classical ones."""
+    """The localizer of a method for a stream; ``bundle`` is None for the classical ones.
+
+    Raises
+    ------
+    InvalidOption
+        If the bundle cannot stream, or cannot take whitened spectra.
+    NoiseMismatch
+        If the noise is not of this array and these frames.
+    """
     if bundle is None:
-        return ClassicalStream(ClassicalLocalizer(method, array, stft))
+        return ClassicalStream(ClassicalLocalizer(method, array, stft, noise))
     if bundle.covariance_stream is not None:
-        return WeightsStream(bundle, array)
-    return WindowStream(RegressionLocalizer(bundle, array), bundle.manifest.stft.frames)
+        return WeightsStream(bundle, array, noise)
+    localizer = localizer_of(bundle, array, noise)
+    if isinstance(localizer, RegressionLocalizer):
+        return WindowStream(localizer, bundle.manifest.stft.frames)
+    raise InvalidOption(
+        f"model {bundle.manifest.name} cannot stream: it was exported without "
+        f"{COVARIANCE_STREAM}; export it again, or choose another model"
+    )

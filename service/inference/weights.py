@@ -15,6 +15,7 @@ from service.doa.steering import azimuth_grid, resolution, steering_vectors
 from service.doa.stft import Stft
 from service.doa.subspace import eigenvector_power, principal_eigenvector
 from service.doa.types import ComplexArray, FloatArray
+from service.doa.whitening import NoiseCovariance, Whitening
 from service.inference.bundle import Bundle
 from service.inference.candidates import Candidates, find_candidates
 from service.inference.descriptors import Field
@@ -46,19 +47,32 @@ class Analysis:
     """Exponent of the dominance in the attention"""
     window_share: float
     """Attention of a bin's whole window against the sum of its blocks'"""
+    bins_per_cell: int = 1
+    """Neighbouring bins whose covariances are added up; more than one only without whitening"""
 
 
 class CandidateSearch:
     """Windows of one array's audio to candidate sources, before anything is counted."""
 
-    def __init__(self, covariance: Engine, analysis: Analysis, array: MicrophoneArray) -> None:
+    def __init__(
+        self,
+        covariance: Engine,
+        analysis: Analysis,
+        array: MicrophoneArray,
+        noise: NoiseCovariance | None = None,
+    ) -> None:
         self._covariance = covariance
         self._array = array
         self._analysis = analysis
         self._bins = slice(analysis.first_bin, analysis.first_bin + analysis.num_bins)
-        frequencies = analysis.stft.frequencies[self._bins]
+        every = analysis.stft.frequencies[self._bins]
+        frequencies = every.reshape(-1, analysis.bins_per_cell).mean(axis=-1)
         grid = azimuth_grid(analysis.grid_size)
         self._steering = steering_vectors(array.positions, frequencies, grid)
+        self._whitening: Whitening | None = None
+        if noise is not None:
+            self._whitening = Whitening.fitting(noise, array, analysis.stft).band(self._bins)
+            self._steering = self._whitening.steering(self._steering)
         # Small arrays see all directions alike: theirs would be one broad peak otherwise.
         self._resolution = resolution(array.positions, frequencies)
         self._floor = analysis.floor * self._resolution
@@ -87,7 +101,7 @@ class CandidateSearch:
         return Field(cells, attended, dominance, self._array.num_microphones, self._resolution)
 
     def spectra(self, windows: FloatArray) -> ComplexArray:
-        """STFT of the band in whole blocks of frames: (B, N, F, L) complex64.
+        """STFT of the band in whole blocks of frames: (B, N, F, L) complex64, whitened.
 
         Up to half a block of frames at the end is left out, more is padded with zeros.
         """
@@ -99,9 +113,9 @@ class CandidateSearch:
         return spectra[..., :wanted]
 
     def band(self, spectra: ComplexArray) -> ComplexArray:
-        """The bins that are used of spectra (..., N, F, L)."""
+        """The bins that are used of spectra (..., N, F, L), whitened."""
         band: ComplexArray = spectra[..., self._bins, :]
-        return band
+        return band if self._whitening is None else self._whitening.apply(band)
 
     def weigh(self, spectra: ComplexArray) -> tuple[FloatArray, FloatArray]:
         """Weights and attentions (B, F, L) from the covariance network."""
@@ -191,9 +205,11 @@ class SourceCounter:
 class WeightsLocalizer:
     """Windows of one array's audio to directions, with a `weights` bundle."""
 
-    def __init__(self, bundle: Bundle, array: MicrophoneArray) -> None:
+    def __init__(
+        self, bundle: Bundle, array: MicrophoneArray, noise: NoiseCovariance | None = None
+    ) -> None:
         self._counter = SourceCounter(bundle.source_count)
-        self._search = CandidateSearch(bundle.covariance, analysis_of(bundle), array)
+        self._search = CandidateSearch(bundle.covariance, analysis_of(bundle), array, noise)
 
     def estimate(
         self, windows: FloatArray, num_sources: int | None, max_sources: int

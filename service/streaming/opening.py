@@ -2,24 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.stft import Stft
-from service.errors import InvalidChannelMap, InvalidGeometry
+from service.doa.whitening import NoiseCovariance
+from service.errors import (
+    InvalidChannelMap,
+    InvalidGeometry,
+    InvalidOption,
+    NoiseMismatch,
+    UnknownNoise,
+)
 from service.inference.choice import (
     check_num_sources,
     choose_channels,
     choose_method,
     method_warnings,
 )
+from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.inference.results import AudioWarning
 from service.protocol.client_messages import ArrayChoice, Start
-from service.protocol.server_messages import StreamArray, StreamModel, Timing
+from service.protocol.server_messages import NoiseInUse, StreamArray, StreamModel, Timing
 from service.streaming.pipeline import StreamPipeline, StreamPlan
 
 DEFAULT_MODEL = "default"
@@ -36,6 +46,9 @@ class OpenedStream:
     plan: StreamPlan
     pipeline: StreamPipeline
     warnings: tuple[AudioWarning, ...]
+    keep_noise: Callable[[NoiseCovariance], object] | None = None
+    """Stores a calibration under the client's name; None where it has none"""
+    client: str | None = None
 
     @property
     def array(self) -> StreamArray:
@@ -55,6 +68,13 @@ class OpenedStream:
             sha256=identity.sha256,
         )
 
+    @property
+    def noise(self) -> NoiseInUse | None:
+        noise = self.plan.noise
+        if noise is None or self.client is None:
+            return None
+        return NoiseInUse(name=self.client, seconds=round(noise.seconds, 3))
+
     def timing(self, interval_ms: int) -> Timing:
         """When results come at this interval."""
         stft = self.plan.stft
@@ -67,7 +87,7 @@ class OpenedStream:
         )
 
 
-def open_stream(start: Start, registry: BundleRegistry) -> OpenedStream:
+def open_stream(start: Start, registry: BundleRegistry, store: NoiseStore) -> OpenedStream:
     """Build what a stream needs; takes tens of milliseconds.
 
     Raises
@@ -86,8 +106,29 @@ def open_stream(start: Start, registry: BundleRegistry) -> OpenedStream:
     method, bundle = choose_method(start.method, model, array, registry)
     stft = bundle.stft if bundle else Stft()
     plan = StreamPlan(start.audio, array, channels, method, bundle, stft)
-    warnings = tuple(method_warnings(start.method, method, array))
-    return OpenedStream(plan, StreamPipeline(plan), warnings)
+    warnings = method_warnings(start.method, method, array)
+    keep = partial(store.put, start.client) if start.client is not None else None
+    noise = kept_noise(start, store)
+    try:
+        plan = replace(plan, noise=noise)
+        pipeline = StreamPipeline(plan)
+    except (NoiseMismatch, InvalidOption) as error:
+        if noise is None:
+            raise
+        warnings.append(AudioWarning("noise_mismatch", f"{error.detail}; it is not used"))
+        plan = replace(plan, noise=None)
+        pipeline = StreamPipeline(plan)
+    return OpenedStream(plan, pipeline, tuple(warnings), keep, start.client)
+
+
+def kept_noise(start: Start, store: NoiseStore) -> NoiseCovariance | None:
+    """The calibration kept for the client, unless it wants none or has none."""
+    if start.client is None or start.noise == "none":
+        return None
+    try:
+        return store.get(start.client).noise
+    except UnknownNoise:
+        return None
 
 
 def read_array(choice: ArrayChoice) -> MicrophoneArray:

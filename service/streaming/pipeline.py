@@ -15,6 +15,8 @@ from service.doa.orientation import Orientation
 from service.doa.stft import Stft, StreamingStft
 from service.doa.tracking import Detection, Track, Tracker
 from service.doa.types import ComplexArray, FloatArray
+from service.doa.whitening import NoiseCovariance, NoiseEstimator
+from service.errors import NoiseCalibrationFailed
 from service.inference.bundle import Bundle
 from service.inference.results import SILENCE, Method, Source, WindowEstimate
 from service.inference.stream import stream_localizer_of
@@ -39,6 +41,8 @@ class StreamPlan:
     method: Method
     bundle: Bundle | None
     stft: Stft
+    noise: NoiseCovariance | None = None
+    """Of the robot itself, whitened away"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +65,17 @@ class Estimate:
     """When the last of its audio came, by the session's clock"""
 
 
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What one step gave."""
+
+    estimate: Estimate | None
+    """None where none was due"""
+    calibrated: NoiseCovariance | None = None
+    """The noise, in the step that completed its calibration"""
+    calibration_error: NoiseCalibrationFailed | None = None
+
+
 class StreamPipeline:
     """One stream's resampler, STFT, localizer and tracker."""
 
@@ -70,6 +85,8 @@ class StreamPipeline:
         self._ratio = plan.audio.sample_rate / self._rate
         """Sample frames of the stream per sample of the analysis"""
         self._tracker = Tracker()
+        self._noise = plan.noise
+        self._calibration: _Calibration | None = None
         self._position = 0
         """Sample frames of the stream up to where it was taken in, missing ones included"""
         self._offset = 0.0
@@ -85,7 +102,9 @@ class StreamPipeline:
         """Forget all audio, keep the tracks and the time."""
         plan = self._plan
         microphones = plan.array.num_microphones
-        self._localizer = stream_localizer_of(plan.method, plan.bundle, plan.array, plan.stft)
+        self._localizer = stream_localizer_of(
+            plan.method, plan.bundle, plan.array, plan.stft, self._noise
+        )
         self._resampler = None
         if plan.audio.sample_rate != self._rate:
             self._resampler = soxr.ResampleStream(
@@ -99,6 +118,10 @@ class StreamPipeline:
         """Spectra since the last estimate"""
         self._energies: deque[tuple[int, float]] = deque()
         """Samples and summed squares of the latest audio, a window of it"""
+
+    def _begin_anew(self) -> None:
+        self._offset = self.stream_samples
+        self._begin()
 
     @property
     def stream_samples(self) -> float:
@@ -116,9 +139,7 @@ class StreamPipeline:
         missing = self._due(interval_ms) - self.stream_samples
         return max(1, math.ceil(missing * self._ratio))
 
-    def step(
-        self, pieces: Sequence[Piece], output: OutputOptions, *, final: bool = False
-    ) -> Estimate | None:
+    def step(self, pieces: Sequence[Piece], output: OutputOptions, *, final: bool = False) -> Step:
         """Take in audio; an estimate where one is due, or of what is there where ``final``.
 
         Parameters
@@ -129,9 +150,22 @@ class StreamPipeline:
         due = self._due(output.interval_ms)
         for piece in pieces:
             self._take(piece)
-        if self.stream_samples >= due or (final and self.stream_samples > self._reported):
-            return self._estimate(output)
-        return None
+        wanted = self.stream_samples >= due or (final and self.stream_samples > self._reported)
+        estimate = self._estimate(output) if wanted else None
+        if self._calibration is None or not self._calibration.complete:
+            return Step(estimate)
+        estimator, self._calibration = self._calibration.estimator, None
+        try:
+            self._noise = estimator.finish()
+        except NoiseCalibrationFailed as error:
+            return Step(estimate, calibration_error=error)
+        self._begin_anew()
+        return Step(estimate, self._noise)
+
+    def calibrate(self, seconds: float) -> None:
+        """Learn the noise from the next ``seconds`` of audio; not while a step runs."""
+        plan = self._plan
+        self._calibration = _Calibration(NoiseEstimator(plan.array, plan.stft), seconds)
 
     def _due(self, interval_ms: int) -> float:
         """Stream time of the next estimate in samples: multiples of the interval."""
@@ -153,8 +187,7 @@ class StreamPipeline:
         """Audio is missing: time goes on without it."""
         missing = frames / self._ratio
         if missing > LONG_GAP * self._rate:
-            self._offset = self._position / self._ratio
-            self._begin()
+            self._begin_anew()
         self._offset += missing
 
     def _analyse(self, samples: FloatArray) -> None:
@@ -166,6 +199,8 @@ class StreamPipeline:
         spectra = self._stft.push(samples)
         if spectra.shape[-1]:
             self._fresh.append(spectra)
+            if self._calibration is not None:
+                self._calibration.estimator.add(spectra)
 
     def _estimate(self, output: OutputOptions) -> Estimate:
         estimate, why = self._localize(output)
@@ -217,6 +252,16 @@ class StreamPipeline:
             return None
         position, captured = self._captured
         return captured + round((end * self._ratio - position) * 1e9 / self._plan.audio.sample_rate)
+
+
+@dataclass(frozen=True, slots=True)
+class _Calibration:
+    estimator: NoiseEstimator
+    seconds: float
+
+    @property
+    def complete(self) -> bool:
+        return self.estimator.seconds >= self.seconds
 
 
 _NOTHING = WindowEstimate((), np.zeros(360, dtype=np.float32))

@@ -32,8 +32,20 @@ class SessionEntry:
     pump: Callable[[], None]
     """Lets the session's owner act on what was done to it"""
     ready: Ready | None = None
-    client_name: str | None = None
     watchers: list[Watcher] = field(default_factory=list)
+    _client: str | None = None
+
+    @property
+    def client(self) -> str | None:
+        """The name that the client gave itself."""
+        if self.session is None or self.session.start is None:
+            return self._client
+        return self.session.start.client
+
+    def release(self) -> None:
+        """Let go of a session that ended."""
+        self._client = self.client
+        self.session = None
 
     def watch(self, watcher: Watcher) -> None:
         """Give every further message to ``watcher``; results then have their spectrum."""
@@ -47,8 +59,8 @@ class SessionEntry:
 
     def observe(self, message: ServerMessage) -> None:
         """Take a message of the session."""
-        if isinstance(message, Ready) and self.session is not None and self.session.start:
-            self.ready, self.client_name = message, self.session.start.client
+        if isinstance(message, Ready):
+            self.ready = message
         for watcher in tuple(self.watchers):
             watcher(message)
 
@@ -104,12 +116,16 @@ class SessionRegistry:
 
     def end(self, entry: SessionEntry) -> None:
         """Take a session out; its results stay for a while, if it had any."""
-        entry.session = None
+        entry.release()
         del self._running[entry.id]
         if not self._running:
             self.empty.set()
         if entry.reporter.account.results:
             self._ended.append(entry)
+
+    def entries(self) -> tuple[SessionEntry, ...]:
+        """The running sessions; safe to call from any thread."""
+        return tuple(self._running.values())
 
     def get(self, session_id: str) -> SessionEntry | None:
         """The session of this id, running or ended."""

@@ -89,7 +89,7 @@ class Reporter:
                 idle_timeout_s=limits.idle_timeout_s,
                 max_session_s=limits.max_session_s,
             ),
-            noise=None,
+            noise=opened.noise,
         )
         for warning in opened.warnings:
             self.warn(warning.code, warning.detail)

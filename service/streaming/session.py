@@ -25,6 +25,7 @@ from service.errors import (
     DoaError,
     InvalidMessage,
     MessageTooBig,
+    NoiseStoreFull,
     SessionLimit,
     StreamTimeout,
 )
@@ -40,10 +41,10 @@ from service.protocol.client_messages import (
     read_client_message,
 )
 from service.protocol.close_codes import CloseCode
-from service.protocol.server_messages import Flushed, Pong
+from service.protocol.server_messages import Calibrated, Flushed, Pong
 from service.streaming.intake import Intake
 from service.streaming.opening import OpenedStream
-from service.streaming.pipeline import Estimate
+from service.streaming.pipeline import Step
 from service.streaming.reporter import Reporter, SessionLimits
 
 log = logging.getLogger(__name__)
@@ -62,7 +63,9 @@ class _Outcome:
 
     command: Flush | Stop | None = None
     opened: OpenedStream | None = None
-    estimate: Estimate | None = None
+    step: Step | None = None
+    keeping_error: DoaError | None = None
+    """Why a calibration could not be kept beyond the session"""
     error: Exception | None = None
 
 
@@ -276,21 +279,34 @@ class Session:
         assert self.opened is not None
         assert self._intake is not None
         outcome = self._outcome = _Outcome(command)
-        pipeline, output = self.opened.pipeline, self.output
+        opened, output = self.opened, self.output
         pieces = self._intake.buffer.take(frames)
 
         def work() -> None:
             try:
-                outcome.estimate = pipeline.step(pieces, output, final=command is not None)
+                step = opened.pipeline.step(pieces, output, final=command is not None)
+                outcome.step = step
+                if step.calibrated is not None and opened.keep_noise is not None:
+                    opened.keep_noise(step.calibrated)
+            except NoiseStoreFull as error:
+                outcome.keeping_error = error
             except Exception as error:
                 outcome.error = error
 
         return work
 
     def _stepped(self, outcome: _Outcome, now: float) -> None:
-        final = outcome.command is not None
-        if outcome.estimate is not None:
-            self._report.result(outcome.estimate, self.output, now, final=final)
+        step, final = outcome.step, outcome.command is not None
+        assert step is not None
+        if step.estimate is not None:
+            self._report.result(step.estimate, self.output, now, final=final)
+        if step.calibrated is not None:
+            assert self.start is not None
+            kept = None if outcome.keeping_error else self.start.client
+            self._report.emit(Calibrated, name=kept, seconds=round(step.calibrated.seconds, 3))
+        for error in (step.calibration_error, outcome.keeping_error):
+            if error is not None:
+                self._report.warn("calibration_failed", error.detail)
         if isinstance(outcome.command, Flush):
             self._report.emit(Flushed, t_end=round(self._report.account.t_end, 6))
         elif isinstance(outcome.command, Stop):
@@ -300,6 +316,9 @@ class Session:
         if isinstance(command, Update):
             changed = command.output.model_dump(exclude_unset=True)
             self.output = self.output.model_copy(update=changed)
+        else:
+            assert self.opened is not None
+            self.opened.pipeline.calibrate(command.seconds)
 
     def _end(self) -> None:
         """Close in order, with the summary."""
