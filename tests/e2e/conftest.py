@@ -26,7 +26,7 @@ ARGUMENTS = (
     "disable-sync",
     "disable-audio-output",
 )
-DESKTOP = {"width": 1280, "height": 960}
+DESKTOP = {"width": 1200, "height": 940}
 PATIENCE = 30_000  # milliseconds until a hanging test fails
 
 
@@ -34,8 +34,8 @@ PATIENCE = 30_000  # milliseconds until a hanging test fails
 def url() -> Iterator[str]:
     """A service of its own process on a free port."""
     command = [sys.executable, "-c", "from service.cli import main; main()", "serve", "--port", "0"]
-    environment = {k: v for k, v in os.environ.items() if k != "NEURALMUSIC_SCREENSHOTS"}
-    environment["NEURALMUSIC_LOG_LEVEL"] = "warning"  # nobody reads the pipe: it must not fill up
+    # Nobody reads the pipe after the first line: it must not fill up.
+    environment = {**os.environ, "NEURALMUSIC_LOG_LEVEL": "warning"}
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment
     ) as process:

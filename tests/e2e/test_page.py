@@ -1,6 +1,6 @@
 """What a newcomer does in a browser; nothing that the page says or asks for escapes the test.
 
-``NEURALMUSIC_SCREENSHOTS=docs`` writes the pictures of the page into that folder.
+``SCREENSHOTS=docs`` in the environment writes the pictures of the page into that folder.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ ROOT = Path(__file__).parents[2]
 SAMPLE = ROOT / "examples" / "two-talkers.flac"
 TALKERS_DEG = (45.0, 200.0)
 PHONE = {"width": 390, "height": 844}
-SCREENSHOTS = os.environ.get("NEURALMUSIC_SCREENSHOTS")
+SCREENSHOTS = os.environ.get("SCREENSHOTS")
 MAX_PICTURE_BYTES = 200_000
 
 
