@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+from concurrent.futures import Future
+from contextlib import suppress
 from functools import partial
 
 from fastapi import APIRouter, WebSocket
@@ -104,7 +106,8 @@ class Connection:
         """Hand out the session's next work, make room, close what is closed."""
         work = self.session.take_work()
         if work is not None:
-            self._loop.run_in_executor(self._pool, work).add_done_callback(self._worked)
+            # Straight to the loop: an asyncio future in between costs more than the rest of this.
+            self._pool.submit(work).add_done_callback(self._notify)
         if self.session.close_code is not None:
             self._outbox.close()
         if self.session.wants_audio:
@@ -112,7 +115,12 @@ class Connection:
         else:
             self._room.clear()
 
-    def _worked(self, _: asyncio.Future[None]) -> None:
+    def _notify(self, _: Future[None]) -> None:
+        """Called in the thread that did the work."""
+        with suppress(RuntimeError):  # the loop was closed meanwhile
+            self._loop.call_soon_threadsafe(self._worked)
+
+    def _worked(self) -> None:
         self.session.work_done(self._loop.time())
         self.pump()
 

@@ -56,8 +56,14 @@ class Stft:
         -------
         spectra : (..., F, L) complex64
         """
-        frames = np.lib.stride_tricks.sliding_window_view(audio, self.n_fft, axis=-1)
-        windowed = frames[..., :: self.hop, :] * hann(self.n_fft)
+        step = audio.strides[-1]
+        frames = np.lib.stride_tricks.as_strided(
+            audio,
+            (*audio.shape[:-1], self.num_frames(audio.shape[-1]), self.n_fft),
+            (*audio.strides[:-1], self.hop * step, step),
+            writeable=False,
+        )
+        windowed = frames * hann(self.n_fft)
         spectra = np.fft.rfft(windowed.astype(np.float32, copy=False), axis=-1)
         transposed: ComplexArray = np.swapaxes(spectra, -1, -2)
         return transposed

@@ -21,6 +21,7 @@ from service.inference.bundle import Bundle
 from service.inference.results import SILENCE, Method, Source, WindowEstimate
 from service.inference.stream import stream_localizer_of
 from service.protocol.client_messages import AudioFormat, OutputOptions
+from service.protocol.framing import SAMPLE_BYTES
 from service.protocol.server_messages import WhyNoSource
 from service.streaming.buffer import Piece
 from service.streaming.pcm import decode_pcm
@@ -84,6 +85,7 @@ class StreamPipeline:
         self._rate = plan.stft.sample_rate
         self._ratio = plan.audio.sample_rate / self._rate
         """Sample frames of the stream per sample of the analysis"""
+        self._frame_bytes = SAMPLE_BYTES[plan.audio.encoding] * plan.audio.channels
         self._tracker = Tracker()
         self._noise = plan.noise
         self._calibration: _Calibration | None = None
@@ -148,8 +150,7 @@ class StreamPipeline:
             In order, no more than ``frames_needed`` says.
         """
         due = self._due(output.interval_ms)
-        for piece in pieces:
-            self._take(piece)
+        self._take(pieces)
         wanted = self.stream_samples >= due or (final and self.stream_samples > self._reported)
         estimate = self._estimate(output) if wanted else None
         if self._calibration is None or not self._calibration.complete:
@@ -172,16 +173,17 @@ class StreamPipeline:
         interval = interval_ms * self._rate / 1000
         return (math.floor(max(self._reported, 0.0) / interval + 1e-9) + 1) * interval
 
-    def _take(self, piece: Piece) -> None:
-        audio = self._plan.audio
-        if piece.position > self._position:
-            self._skip(piece.position - self._position)
-        samples = decode_pcm(piece.data, audio.encoding, audio.channels, self._plan.channel_map)
-        if piece.capture_time_ns is not None:
-            self._captured = (piece.position, piece.capture_time_ns)
-        self._position = piece.position + samples.shape[1]
-        self._arrived = piece.arrived
-        self._analyse(np.nan_to_num(samples, copy=False))
+    def _take(self, pieces: Sequence[Piece]) -> None:
+        """Take in pieces; those without anything missing between them at once."""
+        run: list[Piece] = []
+        for piece in pieces:
+            if piece.position > self._position:
+                self._analyse(run)
+                run = []
+                self._skip(piece.position - self._position)
+            run.append(piece)
+            self._position = piece.position + len(piece.data) // self._frame_bytes
+        self._analyse(run)
 
     def _skip(self, frames: int) -> None:
         """Audio is missing: time goes on without it."""
@@ -190,10 +192,20 @@ class StreamPipeline:
             self._begin_anew()
         self._offset += missing
 
-    def _analyse(self, samples: FloatArray) -> None:
+    def _analyse(self, pieces: Sequence[Piece]) -> None:
+        """Decode, resample and transform consecutive pieces."""
+        if not pieces:
+            return
+        audio, last = self._plan.audio, pieces[-1]
+        self._arrived = last.arrived
+        if last.capture_time_ns is not None:
+            self._captured = (last.position, last.capture_time_ns)
+        data = b"".join(piece.data for piece in pieces)
+        samples = decode_pcm(data, audio.encoding, audio.channels, self._plan.channel_map)
+        if audio.encoding == "pcm_f32le":
+            samples = np.nan_to_num(samples, copy=False)
         if self._resampler is not None:
-            resampled = self._resampler.resample_chunk(np.ascontiguousarray(samples.T))
-            samples = resampled.T
+            samples = self._resampler.resample_chunk(np.ascontiguousarray(samples.T)).T
         self._samples += samples.shape[1]
         self._energies.append((samples.shape[1], float(np.vdot(samples, samples))))
         spectra = self._stft.push(samples)
