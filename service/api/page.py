@@ -128,12 +128,13 @@ def _file_response(request: Request, file: PageFile) -> Response:
 def _signpost() -> RootAnswer:
     paths = {
         "localize": "/localize",
-        "stream": "/stream",
-        "sessions": "/sessions",
         "models": "/models",
         "arrays": "/arrays",
         "noise": "/noise",
+        "stream": "/stream",
+        "sessions": "/sessions",
         "documentation": "/docs",
         "openapi": "/openapi.json",
+        "asyncapi": "/asyncapi.json",
     }
     return RootAnswer(version=__version__, links=paths)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Literal
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Request, Response
 
 from service.api.problems import problem_responses
 from service.api.schemas import Answer
 from service.api.state import state_of
+from service.asyncapi import document_json
 from service.errors import Draining, NotReady
 
 router = APIRouter(tags=["service"])
@@ -35,3 +36,9 @@ async def readyz(request: Request) -> StatusAnswer:
     """200 once the models are loaded and self-tested and until the service stops, else 503."""
     state_of(request).admit()
     return StatusAnswer()
+
+
+@router.get("/asyncapi.json", summary="The stream's contract", response_class=Response)
+async def asyncapi() -> Response:
+    """The AsyncAPI document of the WebSocket `/stream`."""
+    return Response(document_json(), media_type="application/json")

@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from service import __version__
-from service.cli import arrays, bench, bundle, check, localize, noise, serve
+from service.cli import arrays, bench, bundle, check, localize, noise, serve, stream
 from service.errors import DoaError
 
 
@@ -33,7 +33,7 @@ class Command(Protocol):
     def run(self) -> Callable[[argparse.Namespace], int]: ...
 
 
-COMMANDS: tuple[Command, ...] = (serve, localize, check, noise, bundle, arrays, bench)
+COMMANDS: tuple[Command, ...] = (serve, localize, check, noise, bundle, arrays, bench, stream)
 
 FAILED = 2
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
@@ -43,9 +43,9 @@ READER_GONE = 141  # 128 + SIGPIPE
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and give its exit code; no error of the user's ends in a traceback."""
     words = sys.argv[1:] if argv is None else list(argv)
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")  # a terminal without a degree sign prints "?"
+    for printed in (sys.stdout, sys.stderr):
+        if hasattr(printed, "reconfigure"):
+            printed.reconfigure(errors="replace")  # a terminal without a degree sign prints "?"
     args = _parser(words).parse_args(words)
     try:
         code: int = args.run(args)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from service.errors import ChannelMismatch, InvalidOption
 
@@ -14,6 +14,13 @@ if TYPE_CHECKING:
 
 MAX_SECONDS = 86_400.0  # the limits of the service protect others; this is the user's own machine
 MAX_CHANNELS = 256
+
+
+class Channels(Protocol):
+    """Anything with channels: a recording or an audio device."""
+
+    @property
+    def channels(self) -> int: ...
 
 
 def add_recording(parser: argparse.ArgumentParser) -> None:
@@ -54,16 +61,16 @@ def read_array(argument: str) -> MicrophoneArray:
 
 
 def choose_channels(
-    recording: Recording, array: MicrophoneArray | None, channel_map: str | None
+    source: Channels, array: MicrophoneArray | None, channel_map: str | None, what: str = "file"
 ) -> tuple[int, ...]:
-    """The file's channels that are microphones.
+    """The channels of a file, or of ``what`` it is, that are microphones.
 
     They are those of ``--channel-map``, or all, or what the preset's firmware is known to deliver.
 
     Raises
     ------
     ChannelMismatch
-        If the file's channels do not fit the array or the map.
+        If its channels do not fit the array or the map.
     """
     from service.api.geometry import read_channel_map
     from service.doa.array import validate_channel_map
@@ -75,18 +82,18 @@ def choose_channels(
         except ValueError as error:
             raise InvalidOption(f"channel_map {error}") from None
         validate_channel_map(chosen, array.num_microphones if array else len(chosen))
-        if max(chosen) >= recording.channels:
+        if max(chosen) >= source.channels:
             raise ChannelMismatch(
-                f"channel_map names channel {max(chosen)}, but the file has {recording.channels} "
-                f"channels, 0 to {recording.channels - 1}"
+                f"channel_map names channel {max(chosen)}, but the {what} has {source.channels} "
+                f"channels, 0 to {source.channels - 1}"
             )
         return chosen
-    if array is None or array.num_microphones == recording.channels:
-        return tuple(range(recording.channels))
-    raw = RAW_CHANNELS.get(array.name, {}).get(recording.channels)
+    if array is None or array.num_microphones == source.channels:
+        return tuple(range(source.channels))
+    raw = RAW_CHANNELS.get(array.name, {}).get(source.channels)
     if raw is None:
         raise ChannelMismatch(
-            f"the file has {recording.channels} channels, but {array.name} has "
+            f"the {what} has {source.channels} channels, but {array.name} has "
             f"{array.num_microphones} microphones: name their channels with --channel-map"
         )
     return raw

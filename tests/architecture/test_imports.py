@@ -42,6 +42,12 @@ def test_rooms_import_only_rooms_below(path: Path) -> None:
     assert not used & {*above, "app", "server", "cli"}
 
 
+@pytest.mark.parametrize("path", sorted((ROOT / "service" / "client").glob("*.py")))
+def test_the_client_imports_only_the_protocol_and_the_errors(path: Path) -> None:
+    rooms = {name.split(".")[1] for name in imports(path) if name.startswith("service.")}
+    assert rooms <= {"client", "protocol", "errors"}
+
+
 def test_the_running_service_has_loaded_no_torch() -> None:
     code = (
         "import sys; from service.app import create_app; create_app(); "

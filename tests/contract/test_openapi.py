@@ -11,6 +11,7 @@ import yaml
 
 from service.errors import (
     BundleError,
+    ClientError,
     ConfigError,
     DoaError,
     NoiseCalibrationFailed,
@@ -61,6 +62,7 @@ def test_every_error_of_a_request_is_documented_with_its_status(document: Any) -
     documented = problems(document["paths"]["/localize"]["post"])
     elsewhere = (
         BundleError,
+        ClientError,
         ConfigError,
         NoiseCalibrationFailed,
         NoiseProfileInvalid,

@@ -7,6 +7,9 @@ could send, and in an order in which it seldom does.
 from __future__ import annotations
 
 import json
+import shlex
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -35,6 +38,7 @@ from service.protocol.server_messages import (
 
 expect = pytest.importorskip("playwright.sync_api", reason="needs playwright").expect
 
+SAMPLE = Path(__file__).parents[2] / "examples" / "two-talkers.flac"
 Visits = Callable[..., Any]
 SESSION = {
     "id": "a1",
@@ -139,6 +143,22 @@ def test_where_nothing_runs_the_page_says_how_to_start(visit: Visits) -> None:
     )
     here.page.click("#howto-replay")
     expect(here.page.locator("#file")).to_be_focused()
+
+
+def test_the_commands_that_the_page_prints_work(visit: Visits) -> None:
+    here = open_live(visit, [])
+    commands = here.page.locator("#howto-command")
+    expect(commands).to_contain_text("--list-devices")
+    program = [sys.executable, "-c", "from service.cli import main; main()"]
+    *_, printed = commands.inner_text().splitlines()
+    # Where there is no microphone array, a file does.
+    words = shlex.split(printed.replace("--device NAME", str(SAMPLE)))[1:]
+    done = subprocess.run(
+        [*program, *words, "--output", "jsonl"], capture_output=True, text=True, check=True
+    )
+    results = [json.loads(line) for line in done.stdout.splitlines()]
+    azimuths = [s["azimuth_deg"] for r in results for s in r.get("sources", [])]
+    assert min(abs(azimuth - 45) for azimuth in azimuths) < 5
 
 
 def test_a_session_is_watched_to_its_end(visit: Visits, square: MicrophoneArray) -> None:

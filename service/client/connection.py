@@ -1,0 +1,263 @@
+"""One WebSocket connection from the handshake to ``ready``; refusals become errors with a sentence.
+
+Compression stays off: it costs milliseconds per message and hardly shortens audio.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import os
+import socket
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import (
+    ConnectionClosed,
+    InvalidHandshake,
+    InvalidStatus,
+    InvalidURI,
+)
+from websockets.typing import Subprotocol
+
+from service.errors import (
+    InvalidMessage,
+    InvalidOption,
+    ServiceUnreachable,
+    StreamClosed,
+    StreamRefused,
+)
+from service.protocol import SUBPROTOCOL
+from service.protocol.client_messages import Start, read_client_message
+from service.protocol.close_codes import RETRYABLE
+from service.protocol.server_messages import (
+    AnyServerMessage,
+    Closing,
+    Ready,
+    StreamError,
+    read_server_message,
+)
+
+logger = logging.getLogger("neuralmusic.client")
+
+RETRYABLE_STATUS = frozenset({502, 503, 504})
+"""502 and 504 are a proxy's words for a service that restarts"""
+MIN_SEND_BUFFER = 64 * 1024
+MAX_SERVER_MESSAGE = 2**20
+
+
+@dataclass(frozen=True, slots=True)
+class Timeouts:
+    """Seconds after which a silent network or service is given up."""
+
+    open_s: float = 10.0
+    """For the handshake, and again for ``ready``"""
+    close_s: float = 5.0
+    ping_interval_s: float = 2.0
+    """Between pings of the connection, which notice a vanished service"""
+    ping_timeout_s: float = 5.0
+    """Without an answer to such a ping"""
+
+
+def read_start(start: Start | None, fields: Mapping[str, Any]) -> Start:
+    """The ``start`` message from itself or from its fields.
+
+    ``array`` may be a preset's name alone, and values may be numpy arrays.
+
+    Raises
+    ------
+    InvalidMessage
+        If a field is unknown, missing or out of range.
+    InvalidOption
+        If both are given, or none.
+    """
+    if start is not None:
+        if fields:
+            raise InvalidOption(f"give a Start or its fields ({', '.join(fields)}), not both")
+        return start
+    message: dict[str, Any] = {"type": "start", **fields}
+    if isinstance(message.get("array"), str):
+        message["array"] = {"name": message["array"]}
+    read = read_client_message(json.dumps(message, default=_plain))
+    assert isinstance(read, Start)
+    return read
+
+
+async def open_connection(
+    url: str, start: Start, token: str | None, timeouts: Timeouts, send_buffer: int
+) -> tuple[ClientConnection, Ready]:
+    """Connect, send ``start`` and wait for ``ready``.
+
+    Parameters
+    ----------
+    url : str
+        ``ws://`` or ``wss://``.
+    token : str or None
+        Goes into the header ``Authorization``.
+    send_buffer : int
+        Bytes that the operating system may hold back, at least 64 KiB: audio in its buffer is out
+        of reach and gets stale.
+
+    Raises
+    ------
+    ServiceUnreachable
+        If nothing answers.
+    StreamRefused
+        If the service says no.
+    """
+    try:
+        websocket = await connect(
+            url,
+            subprotocols=[Subprotocol(SUBPROTOCOL)],
+            additional_headers={"Authorization": f"Bearer {token}"} if token else None,
+            compression=None,
+            open_timeout=timeouts.open_s,
+            close_timeout=timeouts.close_s,
+            ping_interval=timeouts.ping_interval_s,
+            ping_timeout=timeouts.ping_timeout_s,
+            max_size=MAX_SERVER_MESSAGE,
+        )
+    except InvalidStatus as error:
+        raise _refused_handshake(error) from None
+    except InvalidURI as error:
+        raise InvalidOption(f"{url} is no address: {error}") from None
+    except (OSError, InvalidHandshake) as error:  # TimeoutError is an OSError
+        raise _unreachable(url, error, timeouts.open_s) from None
+    try:
+        return websocket, await _start(websocket, url, start, timeouts, send_buffer)
+    except BaseException:
+        await websocket.close()
+        raise
+
+
+async def _start(
+    websocket: ClientConnection, url: str, start: Start, timeouts: Timeouts, send_buffer: int
+) -> Ready:
+    if websocket.subprotocol != SUBPROTOCOL:
+        raise StreamRefused(
+            "protocol_unknown",
+            "Unknown protocol",
+            f"{url} does not speak {SUBPROTOCOL}: is it this service, and of this version?",
+        )
+    _shrink_send_buffer(websocket, max(send_buffer, MIN_SEND_BUFFER))
+    said: StreamError | Closing | None = None
+    try:
+        await websocket.send(start.model_dump_json(exclude_unset=True))
+        while True:
+            message = read_known(await _receive(websocket, url, timeouts.open_s))
+            if isinstance(message, Ready):
+                return message
+            if isinstance(message, StreamError | Closing):
+                said = message
+    except ConnectionClosed:
+        closed = closed_by(websocket, said)
+        raise StreamRefused(
+            closed.code,
+            closed.title,
+            closed.detail,
+            retryable=closed.retryable,
+            close_code=closed.close_code,
+        ) from None
+
+
+async def _receive(websocket: ClientConnection, url: str, timeout_s: float) -> str | bytes:
+    try:
+        async with asyncio.timeout(timeout_s):
+            return await websocket.recv()
+    except TimeoutError:
+        raise ServiceUnreachable(
+            f"{url} took the connection but did not answer `start` within {timeout_s:g} s"
+        ) from None
+
+
+def read_known(text: str | bytes) -> AnyServerMessage | None:
+    """A message, or None where a newer service says something that this client does not know."""
+    try:
+        return read_server_message(text)
+    except InvalidMessage as error:
+        logger.warning("a message of the service is skipped: %s", error.detail)
+        return None
+
+
+def closed_by(websocket: ClientConnection, said: StreamError | Closing | None) -> StreamClosed:
+    """Why a closed connection ended, in the service's words where it said any."""
+    code = websocket.close_code or 1006
+    retryable = code in RETRYABLE
+    if isinstance(said, StreamError):
+        return StreamClosed(
+            said.code, said.title, said.detail, retryable=retryable, close_code=code
+        )
+    if isinstance(said, Closing):
+        return StreamClosed(
+            said.code, "Session ended", said.detail, retryable=retryable, close_code=code
+        )
+    reason = f" ({websocket.close_reason})" if websocket.close_reason else ""
+    lost = "the connection to the service was lost" if code == 1006 else "the service closed"
+    return StreamClosed(
+        "connection_lost" if code == 1006 else f"closed_{code}",
+        "Connection lost" if code == 1006 else "Connection closed",
+        f"{lost} without a word, code {code}{reason}",
+        retryable=retryable,
+        close_code=code,
+    )
+
+
+def _refused_handshake(error: InvalidStatus) -> StreamRefused:
+    response = error.response
+    status = response.status_code
+    try:
+        problem = json.loads(response.body or b"")
+        code, title, detail = (str(problem[key]) for key in ("code", "title", "detail"))
+    except (ValueError, LookupError, TypeError):
+        code, title = f"http_{status}", response.reason_phrase or "Refused"
+        detail = f"the service refused the stream with HTTP status {status} ({title})"
+    return StreamRefused(
+        code,
+        title,
+        detail,
+        status,
+        status in RETRYABLE_STATUS,
+        retry_after_s=read_retry_after(response.headers.get("Retry-After")),
+    )
+
+
+def read_retry_after(header: str | None) -> float | None:
+    """Seconds of a ``Retry-After``; a date is not waited for."""
+    return float(header) if header is not None and header.strip().isdigit() else None
+
+
+def _unreachable(url: str, error: Exception, timeout_s: float) -> ServiceUnreachable:
+    if isinstance(error, TimeoutError):
+        return ServiceUnreachable(f"{url} did not answer within {timeout_s:g} s")
+    if isinstance(error, OSError):
+        return ServiceUnreachable(
+            f"nothing answers at {url} ({_reason(error)}): is the service running there "
+            "(neuralmusic serve)?"
+        )
+    return ServiceUnreachable(f"{url} does not answer as a WebSocket: {error}")
+
+
+def _reason(error: OSError) -> str:
+    """The system's word; asyncio's own repeats the address, once for each that it tried."""
+    if isinstance(error, socket.gaierror) or error.errno is None:
+        return error.strerror or "no connection"
+    return os.strerror(error.errno).lower()
+
+
+def _shrink_send_buffer(websocket: ClientConnection, size: int) -> None:
+    found = websocket.transport.get_extra_info("socket")
+    if found is not None and found.family in (socket.AF_INET, socket.AF_INET6):
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, size)
+
+
+def _plain(value: object) -> Any:
+    """Models and numpy arrays as JSON."""
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json", exclude_unset=True)
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise InvalidOption(f"{type(value).__name__} cannot be sent as JSON")
