@@ -12,7 +12,7 @@ from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
 from service import __version__
-from service.api import catalog, localize, noise, probes, sessions, stream
+from service.api import catalog, localize, noise, page, probes, sessions, stream
 from service.api.limits import BodyLimit
 from service.api.problems import Problem, install_problem_handlers
 from service.api.state import ServiceState
@@ -37,7 +37,7 @@ TAGS = [
     {"name": "streams", "description": "Who streams, what they get. The stream itself is /stream."},
     {"name": "noise", "description": "Profiles of the robot's own noise."},
     {"name": "catalog", "description": "What requests may name."},
-    {"name": "service", "description": "Probes."},
+    {"name": "service", "description": "Web page and probes."},
 ]
 
 
@@ -84,7 +84,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
     app.state.service = state
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
     install_problem_handlers(app)
-    for each in (localize, stream, sessions, noise, catalog, probes):
+    for each in (localize, stream, sessions, noise, catalog, probes, page):
         app.include_router(each.router)
     return app
 

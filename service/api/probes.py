@@ -1,4 +1,4 @@
-"""Probes for whoever runs the service, and a signpost at the root; no model is touched."""
+"""Probes for whoever runs the service; no model is touched."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from typing import Literal
 
 from fastapi import APIRouter, Request, Response
 
-from service import __version__
 from service.api.problems import problem_responses
 from service.api.schemas import Answer
 from service.api.state import state_of
@@ -20,15 +19,6 @@ class StatusAnswer(Answer):
     """That the service is there."""
 
     status: Literal["ok"] = "ok"
-
-
-class RootAnswer(Answer):
-    """What there is."""
-
-    name: Literal["neuralmusic"] = "neuralmusic"
-    version: str
-    links: dict[str, str]
-    """Paths by what they are"""
 
 
 @router.get("/livez", summary="Is the process alive?")
@@ -52,20 +42,3 @@ async def readyz(request: Request) -> StatusAnswer:
 async def asyncapi() -> Response:
     """The AsyncAPI document of the WebSocket `/stream`."""
     return Response(document_json(), media_type="application/json")
-
-
-@router.get("/", summary="Name, version and paths")
-async def root() -> RootAnswer:
-    """Where to go from here."""
-    paths = {
-        "localize": "/localize",
-        "models": "/models",
-        "arrays": "/arrays",
-        "noise": "/noise",
-        "stream": "/stream",
-        "sessions": "/sessions",
-        "documentation": "/docs",
-        "openapi": "/openapi.json",
-        "asyncapi": "/asyncapi.json",
-    }
-    return RootAnswer(version=__version__, links=paths)

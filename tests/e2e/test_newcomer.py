@@ -7,8 +7,6 @@ import re
 import shlex
 import shutil
 import subprocess
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -26,19 +24,6 @@ def printed_curl_line() -> str:
     ).stdout
     (line,) = re.findall(r"curl -s .*?/localize", recipe)
     return str(line)
-
-
-@pytest.fixture(scope="module")
-def url() -> Iterator[str]:
-    """A service of its own process on a free port."""
-    command = [sys.executable, "-c", "from service.cli import main; main()", "serve", "--port", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
-        try:
-            assert process.stdout is not None
-            announced = process.stdout.readline()
-            yield re.findall(r"http://\S+", announced)[0]
-        finally:
-            process.terminate()
 
 
 @pytest.mark.skipif(shutil.which("curl") is None, reason="needs curl")

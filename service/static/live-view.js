@@ -1,0 +1,192 @@
+// One stream as it is heard: the dial, the last minute, lag, warnings. It draws the newest result
+// once per frame of the screen, so that it never falls behind.
+
+import { TrackColours } from "./colours.js";
+import { Dial } from "./dial.js";
+import { byId, element, showFacts, showProblem } from "./dom.js";
+import { exportAddress } from "./api.js";
+import { showSources } from "./readout.js";
+import { Strip } from "./strip.js";
+import { Timeline } from "./timeline.js";
+import { METHODS, duration, warningTitle, whyNoSource } from "./words.js";
+
+const HISTORY = 60; // seconds
+const SHORTEST = 15; // seconds that are shown at least: a young session fills them sooner
+const DOTS_PER_S = 5; // that the size of the dots leaves room for; closer ones make a line
+const MAX_WARNINGS = 8;
+
+export class LiveView {
+  #frame = 0;
+
+  constructor() {
+    this.dial = new Dial(byId("live-dial"));
+    this.timeline = new Timeline(byId("live-timeline"));
+    this.#reset();
+  }
+
+  /** Begin with an empty view. */
+  begin(text) {
+    this.#reset();
+    this.say(text, "waiting");
+  }
+
+  /** Say how the connection is: "waiting", "live", "ended" or "broken". */
+  say(text, state) {
+    const line = byId("live-state");
+    if (line.textContent !== text) line.textContent = text;
+    line.dataset.state = state;
+  }
+
+  /** Show why a stream was refused or broke off. */
+  fail(problem) {
+    showProblem(byId("live-problem"), problem);
+    this.say("The stream has ended with a problem.", "broken");
+  }
+
+  /** Take a message of the stream or of its events. */
+  receive(message) {
+    const take = {
+      ready: () => this.#ready(message),
+      history: () => this.#history(message.points),
+      result: () => this.#result(message),
+      warning: () => this.#warning(message),
+      stats: () => this.#stats(message),
+      calibrated: () => this.say(`Learnt ${message.seconds} s of noise.`, "live"),
+      error: () => this.fail(message),
+      closing: () => this.#closing(message),
+      summary: () => this.#summary(message),
+    }[message.type];
+    take?.();
+  }
+
+  #reset() {
+    this.points = [];
+    this.warnings = new Map();
+    this.summed = false;
+    this.facts = {};
+    this.latest = null;
+    this.colours = new TrackColours();
+    this.interval = 0.1;
+    this.strip = new Strip(HISTORY / this.interval);
+    this.dial.rest();
+    this.timeline.set(this.#minute(0));
+    showProblem(byId("live-problem"), null);
+    byId("live-note").textContent = "";
+    byId("live-title").textContent = "Now";
+    byId("live-exports").replaceChildren();
+    showSources(byId("live-sources"), []);
+    showFacts(byId("live-facts"), {});
+    this.#showWarnings();
+  }
+
+  #ready({ session, model, method, array, timing }) {
+    this.interval = timing.interval_ms / 1000;
+    this.strip = new Strip(HISTORY / this.interval);
+    this.dial.setArray(array.positions_m);
+    this.facts = {
+      Array: array.name,
+      Method: model ? `${model.name} ${model.version}` : METHODS[method],
+      Window: `${Math.round(timing.window_ms)} ms every ${timing.interval_ms} ms`,
+      Lag: null,
+    };
+    showFacts(byId("live-facts"), this.facts);
+    byId("live-exports").replaceChildren(
+      ...["csv", "jsonl"].map((format) =>
+        element("a", { href: exportAddress(session, format), download: true, text: format.toUpperCase() }),
+      ),
+    );
+    this.say("Listening.", "live");
+  }
+
+  #history(points) {
+    this.points = points.map(([t, azimuth, id, confidence, active]) => ({
+      t,
+      azimuth,
+      confidence,
+      active,
+      slot: this.colours.of(id),
+    }));
+    const last = this.points.at(-1);
+    if (last) this.timeline.set(this.#minute(last.t));
+  }
+
+  #result(result) {
+    const sources = result.sources.map((source) => ({
+      ...source,
+      azimuth: source.azimuth_deg,
+      slot: this.colours.of(source.id),
+    }));
+    for (const { azimuth, confidence, active, slot } of sources) {
+      this.points.push({ t: result.t_end, azimuth, confidence, active, slot });
+    }
+    // Here, not where it is drawn: a hidden page draws nothing, but goes on hearing.
+    const old = this.points.findIndex(({ t }) => t > result.t_end - HISTORY);
+    if (old > 0) this.points.splice(0, old);
+    const passed = this.latest ? result.t_end - this.latest.result.t_end : this.interval;
+    this.strip.push(result.spectrum, Math.round(passed / this.interval));
+    this.latest = { result, sources };
+    this.#frame ||= requestAnimationFrame(() => this.#draw());
+  }
+
+  #draw() {
+    this.#frame = 0;
+    if (!this.latest) return;
+    const { result, sources } = this.latest;
+    this.dial.show({ spectrum: result.spectrum, sources });
+    this.timeline.set(this.#minute(result.t_end));
+    byId("live-title").textContent = `Now, ${duration(result.t_end)}`;
+    byId("live-note").textContent = sources.length ? "" : whyNoSource(result.why_no_source);
+    showSources(byId("live-sources"), sources);
+    this.facts.Lag = `${Math.round(result.lag_ms)} ms`;
+    showFacts(byId("live-facts"), this.facts);
+  }
+
+  #minute(now) {
+    const { points, strip } = this;
+    const span = Math.min(HISTORY, Math.max(SHORTEST, now));
+    const columns = span * DOTS_PER_S;
+    return { points, strip, now, columns, share: span / HISTORY, range: [now - span, now] };
+  }
+
+  #stats({ audio_s: audio, results, dropped_s: dropped, gap_s: gap, results_dropped: skipped }) {
+    Object.assign(this.facts, {
+      Heard: `${duration(audio)}, ${results} results`,
+      Dropped: dropped > 0 ? duration(dropped) : null,
+      Missing: gap > 0 ? duration(gap) : null,
+      Skipped: skipped > 0 ? `${skipped} results` : null,
+    });
+    showFacts(byId("live-facts"), this.facts);
+  }
+
+  #warning({ code, detail }) {
+    const count = (this.warnings.get(code)?.count ?? 0) + 1;
+    this.warnings.delete(code); // the newest comes last
+    this.warnings.set(code, { detail, count });
+    this.#showWarnings();
+  }
+
+  #showWarnings() {
+    byId("live-warnings-section").hidden = !this.warnings.size;
+    const newest = [...this.warnings].reverse().slice(0, MAX_WARNINGS);
+    byId("live-warnings").replaceChildren(
+      ...newest.map(([code, { detail, count }]) =>
+        element(
+          "li",
+          {},
+          element("strong", { text: warningTitle(code) + (count > 1 ? ` (${count} times)` : "") }),
+          element("span", { text: detail }),
+        ),
+      ),
+    );
+  }
+
+  #closing({ detail }) {
+    if (!this.summed) this.say(`The session has ended: ${detail}`, "ended");
+  }
+
+  #summary({ audio_s: audio, results, dropped_s: dropped }) {
+    this.summed = true;
+    const lost = dropped > 0 ? `, ${duration(dropped)} dropped` : "";
+    this.say(`The session has ended after ${duration(audio)}: ${results} results${lost}.`, "ended");
+  }
+}

@@ -1,0 +1,57 @@
+// Plain words for codes. The server's own sentences are always shown beside them.
+
+const TITLES = {
+  audio_dropped: "Audio was dropped",
+  audio_gap: "Audio is missing",
+  results_dropped: "Results were skipped",
+  non_finite: "Broken samples",
+  quiet: "Very quiet",
+  channel_dead: "A microphone is silent",
+  channels_identical: "Channels are copies",
+  clipping: "Clipping",
+  dc_offset: "Constant offset",
+  band_limited: "High frequencies are missing",
+  channel_late: "A channel comes late",
+  channel_order: "Channels seem swapped",
+  array_scale: "The array's size does not fit",
+  channel_processed: "A channel is processed",
+  sample_rate_wrong: "The sample rate does not fit",
+  no_model_for_array: "No model for this array",
+  front_back_ambiguous: "Front and back look alike",
+  noise_mismatch: "The noise has changed",
+  calibration_failed: "The calibration failed",
+};
+
+const REASONS = {
+  silence: "It is quiet.",
+  no_direction: "There is sound, but from no clear direction.",
+  unconfirmed: "Something may be there; it is not sure yet.",
+  excluded: "Sound comes only from sectors that are excluded.",
+  warming_up: "Listening has just begun.",
+};
+
+export const METHODS = {
+  neural: "neural covariance and MUSIC",
+  norm_music: "normalised MUSIC",
+  music: "MUSIC",
+  srp_phat: "SRP-PHAT",
+};
+
+/** What a warning is about. */
+export function warningTitle(code) {
+  const spaced = String(code).replaceAll("_", " ");
+  return TITLES[code] ?? spaced.charAt(0).toUpperCase() + spaced.slice(1);
+}
+
+/** Why there is no source. */
+export const whyNoSource = (reason) => REASONS[reason] ?? "No source.";
+
+/** A duration for people: 8.5 s, 2 min 05 s. */
+export function duration(seconds) {
+  if (seconds < 60) return `${seconds.toFixed(1)} s`;
+  const whole = Math.round(seconds);
+  return `${Math.floor(whole / 60)} min ${String(whole % 60).padStart(2, "0")} s`;
+}
+
+/** A count with its noun. */
+export const counted = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
