@@ -87,7 +87,15 @@ LOCALIZE_EXAMPLE: dict[str, Any] = {
             "t_start": 0.0,
             "t_end": 1.024,
             "num_sources": 1,
-            "sources": [{"azimuth_deg": 45.2, "confidence": 0.93}],
+            "sources": [
+                {
+                    "azimuth_deg": 45.2,
+                    "confidence": 0.93,
+                    "id": 1,
+                    "elevation_deg": None,
+                    "unit_vector": [0.70463, 0.70957, 0.0],
+                }
+            ],
         }
     ],
     "summary": {"sources": [{"azimuth_deg": 45.2, "confidence": 0.93, "share": 1.0}]},

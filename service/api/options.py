@@ -14,6 +14,7 @@ from typing import Any
 
 from service.api.geometry import read_array, read_channel_map
 from service.doa.array import MicrophoneArray, validate_channel_map
+from service.doa.orientation import Orientation
 from service.doa.presets import PRESETS
 from service.errors import InvalidOption, TooManySources, UnknownMethod
 from service.inference.results import (
@@ -55,7 +56,7 @@ def number(low: float, high: float, default: float, description: str) -> Option:
 
     def read(text: str) -> float:
         # Not float() alone: it takes "nan", "1_0" and digits of any script.
-        if not re.fullmatch(r"\d*\.?\d+(e-?\d+)?|\d+\.", text, re.ASCII | re.IGNORECASE):
+        if not re.fullmatch(r"-?(\d*\.?\d+(e-?\d+)?|\d+\.)", text, re.ASCII | re.IGNORECASE):
             raise ValueError(f"must be a number from {low:g} to {high:g}")
         value = float(text)
         if not low <= value <= high:
@@ -87,6 +88,20 @@ def read_flag(text: str) -> bool:
     if text.lower() in ("false", "0", "no", "off"):
         return False
     raise ValueError("must be true or false")
+
+
+def read_sectors(text: str) -> tuple[tuple[float, float], ...]:
+    """Sectors as ``80:100,350:10``."""
+    sentence = "must list sectors as from:to in degrees from -360 to 360, as 80:100,350:10"
+    sectors = []
+    for part in text.split(","):
+        if not re.fullmatch(r"\s*-?\d{1,3}(\.\d{1,6})?:-?\d{1,3}(\.\d{1,6})?\s*", part, re.ASCII):
+            raise ValueError(sentence)
+        first, last = map(float, part.split(":"))
+        if max(abs(first), abs(last)) > 360 or (last - first) % 360 == 0:
+            raise ValueError(f"{sentence}; none may be empty or the whole circle")
+        sectors.append((first, last))
+    return tuple(sectors)
 
 
 OPTIONS: Mapping[str, Option] = {
@@ -126,6 +141,19 @@ OPTIONS: Mapping[str, Option] = {
     ),
     "window_s": number(0.128, 10, DEFAULT_WINDOW_S, "Seconds of audio per result."),
     "hop_s": number(0.02, 10, DEFAULT_HOP_S, "Seconds from one result to the next."),
+    "yaw_deg": number(
+        -360,
+        360,
+        0.0,
+        "Degrees that the array is turned on the robot, counter-clockwise: added to every azimuth.",
+    ),
+    "exclude_deg": Option(
+        read_sectors,
+        {"type": "string"},
+        "Sectors in which nothing is reported, as `from:to` in degrees, counter-clockwise, after "
+        "the yaw offset, separated by commas.",
+        example="80:100,350:10",
+    ),
     "noise": Option(
         str,
         {"type": "string"},
@@ -162,6 +190,9 @@ def read_options(pairs: Iterable[tuple[str, str]]) -> LocalizeRequest:
         )
     spectrum = values.pop("spectrum", False)
     noise = values.pop("noise", None)
+    values["orientation"] = Orientation.of_degrees(
+        values.pop("yaw_deg", 0.0), values.pop("exclude_deg", ())
+    )
     _check(values)
     return LocalizeRequest(LocalizeOptions(**values), spectrum, noise)
 

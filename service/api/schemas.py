@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict
@@ -11,13 +10,9 @@ from service.doa.array import MicrophoneArray
 from service.doa.presets import RAW_CHANNELS
 from service.inference.bundle import Bundle
 from service.inference.results import Method, RecordingResult, Source, SummarySource, WindowResult
+from service.protocol.degrees import azimuth_deg, unit_vector
 
 Position = tuple[float, float, float]
-
-
-def azimuth_deg(azimuth: float) -> float:
-    """Degrees in [0, 360) of an angle in radians; 359.999 rounds to 0, not to 360."""
-    return round(math.degrees(azimuth), 2) % 360.0
 
 
 class Answer(BaseModel):
@@ -65,10 +60,22 @@ class SourceAnswer(Answer):
     """Degrees in [0, 360), counter-clockwise from the array's +x"""
     confidence: float
     """0 to 1: about the chance that a source is within 10 degrees"""
+    id: int | None
+    """The same for one source in all windows; null before it was tracked"""
+    elevation_deg: None = None
+    """Not estimated: a planar array cannot tell above from below"""
+    unit_vector: list[float]
+    """`[x, y, z]` towards the source, z = 0"""
 
     @classmethod
     def of(cls, source: Source) -> Self:
-        return cls(azimuth_deg=azimuth_deg(source.azimuth), confidence=round(source.confidence, 3))
+        return cls(
+            azimuth_deg=azimuth_deg(source.azimuth),
+            confidence=round(source.confidence, 3),
+            id=source.id,
+            elevation_deg=None,  # named, since what is unset is not sent
+            unit_vector=unit_vector(source.azimuth),
+        )
 
 
 class WindowAnswer(Answer):

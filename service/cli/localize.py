@@ -43,6 +43,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--window", dest="window_s", metavar="SECONDS", help="audio per result")
     parser.add_argument("--hop", dest="hop_s", metavar="SECONDS", help="time between results")
     parser.add_argument(
+        "--yaw", dest="yaw_deg", metavar="DEGREES", help="how far the array is turned on the robot"
+    )
+    parser.add_argument(
+        "--exclude",
+        dest="exclude_deg",
+        metavar="FROM:TO,...",
+        help="sectors in degrees in which nothing is reported",
+    )
+    parser.add_argument(
         "--noise",
         type=Path,
         metavar="NPZ",
@@ -87,7 +96,8 @@ def _request(args: argparse.Namespace) -> LocalizeRequest:
     from service.api.options import read_options
 
     pairs = [("array", array_text(args.array)), ("spectrum", str(args.spectrum))]
-    names = ("channel_map", "method", "model", "num_sources", "max_sources", "window_s", "hop_s")
+    numbers = ("num_sources", "max_sources", "window_s", "hop_s", "yaw_deg", "exclude_deg")
+    names = ("channel_map", "method", "model", *numbers)
     given = [(name, getattr(args, name)) for name in names]
     return read_options([*pairs, *((name, text) for name, text in given if text is not None)])
 

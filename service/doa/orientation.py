@@ -49,3 +49,7 @@ class Orientation:
         closed = np.append(spectrum, spectrum[0])
         values: FloatArray = np.interp(turned % 1 * spectrum.size, np.arange(closed.size), closed)
         return values
+
+
+ALIGNED = Orientation()
+"""The array's x is the robot's, and nothing is left out"""

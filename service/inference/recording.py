@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from service.audio import Recording
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics import ChannelDiagnostics
+from service.doa.orientation import Orientation
 from service.doa.stft import Stft
 from service.doa.types import FloatArray
 from service.inference.choice import (
@@ -19,6 +21,7 @@ from service.inference.choice import (
     method_warnings,
 )
 from service.inference.classical import ClassicalLocalizer
+from service.inference.identities import identified
 from service.inference.localizer import Localizer, localizer_of
 from service.inference.registry import BundleRegistry
 from service.inference.results import (
@@ -68,14 +71,16 @@ def localize_recording(
     diagnostics = ChannelDiagnostics(stft.sample_rate, array.num_microphones, channel_map)
     blocks = _observed(recording.blocks(channel_map, stft.sample_rate), diagnostics)
     cut = windows(blocks, stft.sample_rate, options.window_s, options.hop_s, stft.n_fft - stft.hop)
-    results = []
+    results: list[WindowResult] = []
     while batch := tuple(islice(cut, BATCH_WINDOWS)):
         estimates = _estimate(localizer, batch, options)
         for window, estimate in zip(batch, estimates, strict=True):
             t_end = min(window.start + options.window_s, recording.duration)
-            results.append(WindowResult(window.start, t_end, estimate))
+            turned = _on_robot(estimate, options.orientation)
+            results.append(WindowResult(window.start, t_end, turned))
         if progress:
             progress(min(1.0, batch[-1].start / recording.duration))
+    results = identified(results)
     if progress:
         progress(1.0)
     return RecordingResult(
@@ -103,6 +108,16 @@ def _estimate(
         heard = window.audio[:, : max(window.heard, 1)]
         silent = float(np.mean(heard * heard)) < SILENCE
         yield WindowEstimate((), np.zeros_like(estimate.spectrum)) if silent else estimate
+
+
+def _on_robot(estimate: WindowEstimate, orientation: Orientation) -> WindowEstimate:
+    """The estimate in the robot's frame, without what lies in excluded sectors."""
+    sources = tuple(
+        replace(source, azimuth=orientation.on_robot(source.azimuth))
+        for source in estimate.sources
+        if not orientation.excludes(source.azimuth)
+    )
+    return WindowEstimate(sources, orientation.spectrum_on_robot(estimate.spectrum))
 
 
 def _observed(

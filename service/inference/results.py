@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 from service.doa.array import MicrophoneArray
+from service.doa.orientation import ALIGNED, Orientation
 from service.doa.types import FloatArray
 from service.doa.whitening import NoiseCovariance
 
@@ -29,6 +30,8 @@ class Source:
     """Radians in [0, 2 pi)"""
     confidence: float
     """Between 0 and 1: about the chance that a source is within 10 degrees"""
+    id: int | None = None
+    """Of the track that it belongs to; None before there is one"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +104,8 @@ class LocalizeOptions:
     """Seconds per window"""
     hop_s: float = DEFAULT_HOP_S
     """Seconds between windows"""
+    orientation: Orientation = ALIGNED
+    """How the array is mounted, and where nothing is reported"""
     noise: NoiseCovariance | None = None
     """The robot's own noise, to be taken away"""
 

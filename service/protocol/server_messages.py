@@ -277,7 +277,7 @@ class Closing(ServerMessage):
 
     type: Literal["closing"] = "closing"
     code: str
-    """`done`, `draining`, `timeout` or `session_limit`"""
+    """`done` or `draining`; `vanished` to those who watch a session whose client is gone"""
     detail: str
     close_code: int
 

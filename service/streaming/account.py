@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from service.doa.orientation import Orientation
+from service.protocol.degrees import azimuth_deg
 from service.protocol.server_messages import TrackSummary
 from service.streaming.pipeline import Estimate
 
@@ -71,7 +71,7 @@ class Account:
         points = tuple(
             Point(
                 track.id,
-                round(math.degrees(orientation.on_robot(track.azimuth)), 2) % 360.0,
+                azimuth_deg(orientation.on_robot(track.azimuth)),
                 round(track.confidence, 3),
                 track.active,
             )

@@ -9,6 +9,7 @@ from service.doa.orientation import Orientation
 from service.doa.peaks import find_peaks
 from service.doa.tracking import Track
 from service.protocol.client_messages import OutputOptions
+from service.protocol.degrees import azimuth_deg, unit_vector
 from service.protocol.server_messages import OdasPotential, OdasSource, StreamSource
 from service.streaming.pipeline import Estimate
 
@@ -41,8 +42,8 @@ def stream_source(track: Track, orientation: Orientation) -> StreamSource:
     azimuth = orientation.on_robot(track.azimuth)
     return StreamSource.model_construct(
         id=track.id,
-        azimuth_deg=round(math.degrees(azimuth), 2) % 360.0,
-        unit_vector=[round(math.cos(azimuth), 5), round(math.sin(azimuth), 5), 0.0],
+        azimuth_deg=azimuth_deg(azimuth),
+        unit_vector=unit_vector(azimuth),
         confidence=round(track.confidence, 3),
         active=track.active,
         velocity_deg_s=round(math.degrees(track.velocity), 2),

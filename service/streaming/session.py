@@ -164,6 +164,7 @@ class Session:
     def abandon(self) -> None:
         """The client is gone: nothing can be said any more."""
         if self.state != "closed":
+            self._report.closing("vanished", "the client is gone", CloseCode.DONE)  # for watchers
             self._close(CloseCode.DONE)
 
     @property

@@ -47,7 +47,13 @@ def test_the_answer_has_the_promised_shape(localize: Any, sounds: Any) -> None:
     assert list(window) == ["t_start", "t_end", "num_sources", "sources", "spectrum"]
     assert (window["t_start"], window["t_end"]) == (0.0, 1.024)
     assert window["num_sources"] == len(window["sources"])
-    assert list(window["sources"][0]) == ["azimuth_deg", "confidence"]
+    assert list(window["sources"][0]) == [
+        "azimuth_deg",
+        "confidence",
+        "id",
+        "elevation_deg",
+        "unit_vector",
+    ]
     assert len(window["spectrum"]) == 360
     assert away(float(np.argmax(window["spectrum"])), 77.0) <= 2
     assert list(answer["summary"]["sources"][0]) == ["azimuth_deg", "confidence", "share"]
@@ -155,3 +161,31 @@ def test_a_spectrum_comes_only_on_request(localize: Any, sounds: Any, value: str
     without = localize.raw(sounds.wav(), **CLASSICAL, spectrum="false").json()
     assert all("spectrum" in window for window in with_spectrum["windows"])
     assert not any("spectrum" in window for window in without["windows"])
+
+
+def test_azimuths_turn_with_the_yaw_and_sectors_are_left_out(localize: Any, sounds: Any) -> None:
+    recording = sounds.wav(77.0)
+    turned = localize.raw(recording, method="norm_music", yaw_deg=-90, spectrum=True).json()
+    source = turned["windows"][0]["sources"][0]
+    assert abs(source["azimuth_deg"] - 347) < 3
+    angle = np.deg2rad(source["azimuth_deg"])
+    assert source["unit_vector"] == pytest.approx([np.cos(angle), np.sin(angle), 0], abs=1e-4)
+    assert source["elevation_deg"] is None
+    assert abs(int(np.argmax(turned["windows"][0]["spectrum"])) - 347) < 3
+    assert abs(turned["summary"]["sources"][0]["azimuth_deg"] - 347) < 3
+    left = localize.raw(recording, method="norm_music", yaw_deg=-90, exclude_deg="340:355").json()
+    assert not any(window["sources"] for window in left["windows"])
+
+
+@pytest.mark.parametrize("sectors", ["5", "5:5", "0:360", "a:b", "1:2:3", "0:999", ""])
+def test_sectors_that_are_none_are_refused(sectors: str, localize: Any, sounds: Any) -> None:
+    response = localize.raw(sounds.wav(), exclude_deg=sectors)
+    assert (response.status_code, response.json()["code"]) == (422, "option_invalid")
+    assert "exclude_deg" in response.json()["detail"]
+
+
+def test_one_talker_has_one_id_in_all_windows(localize: Any, sounds: Any) -> None:
+    windows = localize.raw(sounds.wav(77.0, seconds=5.0), method="norm_music").json()["windows"]
+    ids = [source["id"] for window in windows for source in window["sources"]]
+    assert len(ids) >= 8
+    assert set(ids[2:]) == {1}

@@ -112,6 +112,8 @@ def test_both_bodies_and_every_option_are_documented(document: Any) -> None:
         "max_sources",
         "window_s",
         "hop_s",
+        "yaw_deg",
+        "exclude_deg",
         "noise",
         "spectrum",
     }

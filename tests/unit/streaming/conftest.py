@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -94,7 +94,7 @@ def store() -> NoiseStore:
 
 
 @pytest.fixture
-def new_session(registry: BundleRegistry, store: NoiseStore) -> Iterator[NewSession]:
+def new_session(registry: BundleRegistry, store: NoiseStore) -> NewSession:
     def make(limits: SessionLimits | None = None, *, eager: bool = True) -> Driver:
         messages: list[dict[str, Any]] = []
 
@@ -111,4 +111,4 @@ def new_session(registry: BundleRegistry, store: NoiseStore) -> Iterator[NewSess
         )
         return Driver(session, messages, eager=eager)
 
-    yield make
+    return make
