@@ -148,7 +148,7 @@ def _talkers(tracked: Mapping[str, Tally], untracked: Mapping[str, Tally]) -> st
             f"{60 * tally.minutes:.0f} s",
             *pairs,
             f"{found['identity_switches']:g}",
-            f"{found['false_tracks_per_minute']:.1f}",
+            _shown("false_tracks_per_minute", found["false_tracks_per_minute"]),
             f"{found['median_latency_s']:.2f} s ({max(tally.latencies):.2f} s)",
         )
         lines.append("| " + " | ".join(columns) + " |")
@@ -172,4 +172,6 @@ def _shown(score: str, value: float | None) -> str:
         return f"{100 * value:.0f} %"
     if score.endswith("_deg"):
         return f"{value:.1f}°"
+    if score.endswith("_per_minute"):
+        return f"{value:.1f}"
     return f"{value:.2f} s" if score.endswith("_s") else f"{value:g}"
