@@ -22,19 +22,17 @@ from model_export.track_scores import Tally, Update, score
 from model_export.tracking_report import document
 from model_export.tracking_scenes import CELLS, LEAD_S, noise_streams, simulate_stream
 from service.doa.presets import preset
-from service.doa.stft import Stft
+from service.doa.stft import Stft, StreamingStft
 from service.doa.tracking import Detection, Track, Tracker, TrackerParameters
 from service.doa.types import FloatArray
-from service.inference.localizer import localizer_of
-from service.inference.recording import SILENCE
 from service.inference.registry import BundleRegistry
-from service.inference.results import DEFAULT_MAX_SOURCES
+from service.inference.results import DEFAULT_MAX_SOURCES, SILENCE
+from service.inference.stream import stream_localizer_of
 
 INTERVAL_S = 0.1
 """Between results"""
-WINDOW_FRAMES = 32
-"""0.528 s"""
-BATCH_WINDOWS = 8
+WINDOW_SAMPLES = Stft().num_samples(32)
+"""0.528 s, in which a talker must be heard to count"""
 
 Detections = list[tuple[float, list[Detection]]]
 """By stream time in seconds"""
@@ -43,26 +41,22 @@ Estimates = Callable[[FloatArray, float], Iterable[tuple[float, list[Detection]]
 
 
 def embedded_estimates() -> Estimates:
-    """The embedded bundle on windows that slide over the audio, each ending at its moment."""
+    """The embedded bundle on streams, as the service localizes them."""
     array = preset(ARRAY)
     bundle = BundleRegistry.load().for_array(array)
     if bundle is None:
         raise FileNotFoundError(f"no embedded bundle fits the array {array.name}")
-    localizer = localizer_of(bundle, array)
-    length = Stft().num_samples(WINDOW_FRAMES)
 
     def estimates(audio: FloatArray, interval: float) -> Iterator[tuple[float, list[Detection]]]:
         hop = round(interval * SAMPLE_RATE)
-        # From the first whole window on: in a shorter one the stream's begin is noise's onset.
-        ends = [end for end in range(hop, audio.shape[1] + 1, hop) if end >= length]
-        for first in range(0, len(ends), BATCH_WINDOWS):
-            batch = ends[first : first + BATCH_WINDOWS]
-            windows = np.stack([audio[:, end - length : end] for end in batch])
-            found = localizer.estimate(windows, None, DEFAULT_MAX_SOURCES)
-            for end, window, estimate in zip(batch, windows, found, strict=True):
-                silent = float(np.mean(window * window)) < SILENCE
-                sources = () if silent else estimate.sources
-                yield end / SAMPLE_RATE, [Detection(s.azimuth, s.confidence) for s in sources]
+        localizer = stream_localizer_of("neural", bundle, array, bundle.stft)
+        stft = StreamingStft(bundle.stft, array.num_microphones)
+        for end in range(hop, audio.shape[1] + 1, hop):
+            localizer.push(stft.push(audio[:, end - hop : end]))
+            latest = audio[:, max(0, end - WINDOW_SAMPLES) : end]
+            silent = float(np.mean(latest * latest)) < SILENCE
+            sources = () if silent else localizer.estimate(None, DEFAULT_MAX_SOURCES).sources
+            yield end / SAMPLE_RATE, [Detection(s.azimuth, s.confidence) for s in sources]
 
     return estimates
 
@@ -113,8 +107,7 @@ def untracked(stream: Stream) -> Iterator[Update]:
 def _update(stream: Stream, time: float, tracks: Sequence[Track]) -> Update:
     if stream.scene is None:
         return Update(time, np.zeros(0), np.zeros(0, dtype=bool), tracks)
-    window = Stft().num_samples(WINDOW_FRAMES) / SAMPLE_RATE
-    voiced = stream.scene.voiced(time, window)
+    voiced = stream.scene.voiced(time, WINDOW_SAMPLES / SAMPLE_RATE)
     return Update(time, stream.scene.azimuths(time), voiced, tracks)
 
 

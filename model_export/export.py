@@ -32,6 +32,7 @@ from service.doa.types import FloatArray
 from service.inference.bundle import (
     CARD,
     COVARIANCE,
+    COVARIANCE_STREAM,
     FILES,
     FUSION,
     GOLDEN,
@@ -48,6 +49,11 @@ from service.inference.registry import self_test
 
 MAX_PARITY = 1e-3
 """Largest allowed difference of fused spectra, whose maximum is at most 1"""
+GRAPH_FILES = {
+    "covariance": COVARIANCE,
+    "source_count": SOURCE_COUNT,
+    "covariance_stream": COVARIANCE_STREAM,
+}
 CARDS = Path(__file__).parents[1] / "docs" / "models"
 """Model cards, ``<name>.md``"""
 GOLDEN_ROOM = RoomSpec((5.0, 4.0, 2.8), (2.3, 1.9, 1.1), rt60=0.3)
@@ -58,27 +64,29 @@ class ExportGraph:
     """A network and what its ONNX graph is called and takes."""
 
     network: nn.Module
-    example: torch.Tensor
+    examples: tuple[torch.Tensor, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    dynamic: Mapping[int, str]
-    """Dynamic axes of the input: index to name"""
+    dynamic: tuple[Mapping[int, str], ...]
+    """Dynamic axes of every input: index to name"""
 
 
 def export_onnx(graph: ExportGraph, path: Path) -> Graph:
     """Write one ONNX file and give its contract."""
     graph.network.eval()
-    axes = {axis: torch.export.Dim(name, min=1, max=65536) for axis, name in graph.dynamic.items()}
+    names = {name for axes in graph.dynamic for name in axes.values()}
+    dims = {name: torch.export.Dim(name, min=1, max=65536) for name in names}
+    shapes = tuple({axis: dims[name] for axis, name in axes.items()} for axes in graph.dynamic)
     # The exporter warns of its own internals and of libraries that it does not need.
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         program = torch.onnx.export(
             graph.network,
-            (graph.example,),
+            graph.examples,
             input_names=list(graph.inputs),
             output_names=list(graph.outputs),
-            dynamic_shapes=(axes,),
+            dynamic_shapes=shapes,
             dynamo=True,
             optimize=True,
             verbose=False,
@@ -132,8 +140,7 @@ def golden_windows(array: MicrophoneArray, count: int = 1, seed: int = 2026) -> 
 def write_bundle(
     folder: Path,
     fields: Mapping[str, Any],
-    covariance: ExportGraph,
-    source_count: ExportGraph,
+    graphs: Mapping[str, ExportGraph],
     fusion: Mapping[str, FloatArray],
     parameters: Mapping[str, FloatArray],
     reference: Sequence[FloatArray],
@@ -146,6 +153,8 @@ def write_bundle(
     ----------
     fields : mapping
         The manifest's descriptive fields.
+    graphs : mapping of str to ExportGraph
+        By the manifest's fields; ``covariance_stream`` may be missing.
     parameters : mapping
         The training model's tensors (``parameters.parameter_arrays``), which fine-tuning reads.
     reference : sequence of (A,) float32
@@ -160,16 +169,13 @@ def write_bundle(
         If the served spectra differ from the reference by more than ``MAX_PARITY``.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    graphs = {
-        "covariance": export_onnx(covariance, folder / COVARIANCE),
-        "source_count": export_onnx(source_count, folder / SOURCE_COUNT),
-    }
+    contracts = {name: export_onnx(g, folder / GRAPH_FILES[name]) for name, g in graphs.items()}
     np.savez(folder / FUSION, **fusion)  # type: ignore[arg-type]
     np.savez(folder / PARAMETERS, **parameters)  # type: ignore[arg-type]
     golden = {"positions": array.positions, "windows": windows[:1], "spectra": np.zeros((1, 1))}
     np.savez_compressed(folder / GOLDEN, **golden)  # type: ignore[arg-type]
     copy_card(folder, fields["name"])
-    draft = {**fields, **graphs, "parity": {}}
+    draft = {**fields, **contracts, "parity": {}}
     _write_manifest(folder, draft)
     localizer = localizer_of(load_bundle(folder), array)
     served = [estimate.spectrum for estimate in localizer.estimate(windows, 1, 1)]

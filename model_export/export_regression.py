@@ -46,8 +46,14 @@ def export_regression(task: RegressionTask, folder: Path, fields: Mapping[str, A
             "num_bins": NUM_BINS,
             "max_sources": MAX_SOURCES,
         },
-        ExportGraph(pipeline.covariance, example, ("features",), ("covariance",), batch),
-        ExportGraph(pipeline.count, example, ("features",), ("count_logits",), batch),
+        {
+            "covariance": ExportGraph(
+                pipeline.covariance, (example,), ("features",), ("covariance",), (batch,)
+            ),
+            "source_count": ExportGraph(
+                pipeline.count, (example,), ("features",), ("count_logits",), (batch,)
+            ),
+        },
         {
             "floor": pipeline.log_floor.detach().exp().numpy(),
             "squeeze": pipeline.fusion.squeeze.weight.detach().numpy(),

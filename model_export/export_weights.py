@@ -21,6 +21,7 @@ from model_export.parameters import parameter_arrays
 from model_export.subspace import delay_products
 from model_export.tasks import STFT, steering_delays
 from model_export.weights import WINDOW_SHARE, WeightsPipeline
+from model_export.weights_stream import stream_graph
 from service.doa.array import MicrophoneArray
 from service.doa.features import NUM_FEATURES, coherence_features
 from service.doa.presets import preset
@@ -61,8 +62,11 @@ def export_weights(
             "num_bins": analysis.num_bins,
             "max_sources": MAX_SOURCES,
         },
-        covariance_graph(pipeline),
-        count_graph(source_count),
+        {
+            "covariance": covariance_graph(pipeline),
+            "source_count": count_graph(source_count),
+            "covariance_stream": stream_graph(pipeline.network, analysis.num_bins),
+        },
         {
             "floor": np.array(analysis.floor, np.float32),
             "dominance_power": np.array(analysis.dominance_power, np.float32),
@@ -79,10 +83,10 @@ def covariance_graph(pipeline: WeightsPipeline) -> ExportGraph:
     """Features to weights and attentions, for any number of windows and frames."""
     return ExportGraph(
         pipeline.network,
-        torch.zeros(2, NUM_FEATURES, STFT.num_bins - FIRST_BIN, FRAMES),
+        (torch.zeros(2, NUM_FEATURES, STFT.num_bins - FIRST_BIN, FRAMES),),
         ("features",),
         ("weights", "attention"),
-        {0: "batch", 3: "frames"},
+        ({0: "batch", 3: "frames"},),
     )
 
 
@@ -90,10 +94,10 @@ def count_graph(network: CandidateCountNetwork) -> ExportGraph:
     """Candidates' descriptors to counts and confidences."""
     return ExportGraph(
         network,
-        torch.zeros(2, NUM_CANDIDATES, NUM_DESCRIPTORS),
+        (torch.zeros(2, NUM_CANDIDATES, NUM_DESCRIPTORS),),
         ("descriptors",),
         ("count_logits", "confidence_logits"),
-        {0: "batch"},
+        ({0: "batch"},),
     )
 
 

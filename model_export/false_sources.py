@@ -90,14 +90,27 @@ def own_fan(
 
     Its tones reach all microphones; the air that it blows brushes each of them on its own.
     """
-    place = OWN_FAN_DISTANCE * unit_vectors(np.array(np.pi), np.deg2rad(elevation_deg))
-    distance = np.linalg.norm(positions - place, axis=-1, keepdims=True)
-    spectrum = np.fft.rfft(fan_tones(rng, num_samples))
-    omega = 2 * np.pi * np.fft.rfftfreq(num_samples, 1 / SAMPLE_RATE)
-    delayed = spectrum * np.exp(-1j * omega * distance / SPEED_OF_SOUND)
-    tones = np.fft.irfft(delayed, num_samples, axis=-1) * OWN_FAN_DISTANCE / distance
+    tones = _behind(elevation_deg, positions, fan_tones(rng, num_samples))
     turbulence = air_noise(rng, len(positions), num_samples)
     return _with_sensor_noise(rng, tones + turbulence)
+
+
+def own_motor(
+    elevation_deg: float, rng: np.random.Generator, positions: FloatArray, num_samples: int
+) -> FloatArray:
+    """A motor or an encased fan at the same place: all of its sound comes from there."""
+    sound = fan_tones(rng, num_samples) + air_noise(rng, 1, num_samples)[0]
+    return _with_sensor_noise(rng, _behind(elevation_deg, positions, sound))
+
+
+def _behind(elevation_deg: float, positions: FloatArray, sound: FloatArray) -> FloatArray:
+    """A sound (T,) at the robot's own noise's place as the microphones hear it, (N, T)."""
+    place = OWN_FAN_DISTANCE * unit_vectors(np.array(np.pi), np.deg2rad(elevation_deg))
+    distance = np.linalg.norm(positions - place, axis=-1, keepdims=True)
+    omega = 2 * np.pi * np.fft.rfftfreq(len(sound), 1 / SAMPLE_RATE)
+    delayed = np.fft.rfft(sound) * np.exp(-1j * omega * distance / SPEED_OF_SOUND)
+    heard: FloatArray = np.fft.irfft(delayed, len(sound), axis=-1) * OWN_FAN_DISTANCE / distance
+    return heard
 
 
 def room_fan(rng: np.random.Generator, positions: FloatArray, num_samples: int) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -11,14 +12,16 @@ from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
 from service import __version__
-from service.api import catalog, localize, probes
+from service.api import catalog, localize, noise, probes, sessions, stream
 from service.api.limits import BodyLimit
 from service.api.problems import Problem, install_problem_handlers
 from service.api.state import ServiceState
 from service.api.workers import WorkerPool
+from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.settings import Settings, load_settings
-from service.startup import load_registry
+from service.startup import load_registry, warm_up
+from service.streaming.registry import SessionRegistry
 
 DESCRIPTION = """
 Directions of arrival from microphone array audio, with a neural covariance model and MUSIC or with
@@ -31,6 +34,8 @@ y left, z up). Positions are metres, times seconds. Errors are RFC 9457 problems
 
 TAGS = [
     {"name": "localization", "description": "Recordings in, directions out."},
+    {"name": "streams", "description": "Who streams, what they get. The stream itself is /stream."},
+    {"name": "noise", "description": "Profiles of the robot's own noise."},
     {"name": "catalog", "description": "What requests may name."},
     {"name": "service", "description": "Probes."},
 ]
@@ -48,13 +53,22 @@ class DocumentedApp(FastAPI):
 def create_app(settings: Settings | None = None, registry: BundleRegistry | None = None) -> FastAPI:
     """The application; without a registry it loads its bundles at startup."""
     settings = settings or load_settings()
-    state = ServiceState(settings, WorkerPool(settings.workers, settings.queue), registry)
+    state = ServiceState(
+        settings,
+        WorkerPool(settings.workers, settings.queue),
+        SessionRegistry(settings.max_sessions),
+        ThreadPoolExecutor(settings.workers, thread_name_prefix="stream"),
+        registry,
+        NoiseStore(settings.noise_folder),
+    )
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         if state.registry is None:
             state.registry = await anyio.to_thread.run_sync(load_registry, settings)
+        await anyio.to_thread.run_sync(warm_up, state.registry)
         yield
+        state.stream_pool.shutdown(wait=False, cancel_futures=True)
 
     app = DocumentedApp(
         title="NeuralMUSIC Service",
@@ -70,8 +84,8 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
     app.state.service = state
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
     install_problem_handlers(app)
-    for router in (localize.router, catalog.router, probes.router):
-        app.include_router(router)
+    for each in (localize, stream, sessions, noise, catalog, probes):
+        app.include_router(each.router)
     return app
 
 

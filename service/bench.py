@@ -24,6 +24,7 @@ from service.inference.localizer import localizer_of
 from service.inference.weights import (
     CandidateSearch,
     analysis_of,
+    block_means,
     cell_covariances,
     principal_eigenvectors,
 )
@@ -99,7 +100,7 @@ def _time_stages(
     covariances = [cell_covariances(*pair) for pair in weights]
     principals = [principal_eigenvectors(covariance) for covariance in covariances]
     fields = [
-        search.field(search.cell_spectra(principal), weighing[1][0], dominance)
+        search.field(search.cell_spectra(principal), block_means(weighing[1][0]), dominance)
         for (principal, dominance), weighing in zip(principals, weighed, strict=True)
     ]
     descriptors = [find_candidates(field).descriptors[None] for field in fields]

@@ -9,8 +9,14 @@ DoaError
 │  └─ UnknownArray · InvalidGeometry · InvalidChannelMap
 ├─ OptionError
 │  └─ UnknownModel · UnknownMethod · InvalidOption · TooManySources · GeometryMismatch
+├─ NoiseError
+│  ├─ UnknownNoise · NoiseMismatch · NoiseProfileInvalid · NoiseCalibrationFailed
+│  └─ NoiseStoreFull
 ├─ UploadError
 │  └─ MissingAudio · UploadTooLarge · UnsupportedMediaType
+├─ StreamProtocolError
+│  └─ InvalidMessage · AudioBeforeStart · MessageTooBig · StreamTimeout · SessionLimit ·
+│     TooManySessions · OriginRefused · SubprotocolMissing
 ├─ BundleError
 │  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed
 └─ CapacityError
@@ -23,12 +29,16 @@ from typing import ClassVar
 
 
 class DoaError(Exception):
-    """Anything the service can say no to: a stable code, an HTTP status and a sentence."""
+    """Anything the service can say no to: a stable code, an HTTP status and a sentence.
+
+    A stream that ends with it closes with ``close_code`` (``service.protocol.close_codes``).
+    """
 
     code: ClassVar[str] = "internal"
     status: ClassVar[int] = 500
     title: ClassVar[str] = "Internal error"
     retryable: ClassVar[bool] = False
+    close_code: ClassVar[int] = 1011
 
     def __init__(self, detail: str) -> None:
         super().__init__(detail)
@@ -45,6 +55,7 @@ class AudioError(DoaError):
     """The recording cannot be used as it is."""
 
     code, status, title = "audio_invalid", 422, "Unusable audio"
+    close_code = 4400
 
 
 class NotAudio(AudioError):
@@ -99,6 +110,7 @@ class ArrayError(DoaError):
     """The microphone array is unknown or makes no sense."""
 
     code, status, title = "array_invalid", 422, "Invalid microphone array"
+    close_code = 4400
 
 
 class UnknownArray(ArrayError):
@@ -123,6 +135,7 @@ class OptionError(DoaError):
     """An option of the request is wrong."""
 
     code, status, title = "option_invalid", 422, "Invalid option"
+    close_code = 4400
 
 
 class InvalidOption(OptionError):
@@ -153,6 +166,42 @@ class GeometryMismatch(OptionError):
     code, title = "geometry_mismatch", "The model is bound to another array"
 
 
+class NoiseError(DoaError):
+    """A profile of the robot's own noise cannot be learnt, stored or used."""
+
+    code, status, title = "noise_error", 422, "Unusable noise profile"
+
+
+class UnknownNoise(NoiseError):
+    """No noise profile is stored under this name."""
+
+    code, title = "noise_unknown", "Unknown noise profile"
+
+
+class NoiseMismatch(NoiseError):
+    """The noise profile was learnt with another array or other frames."""
+
+    code, title = "noise_mismatch", "The noise profile does not fit"
+
+
+class NoiseProfileInvalid(NoiseError):
+    """The bytes are no noise profile that this version reads."""
+
+    code, title = "noise_invalid", "Invalid noise profile"
+
+
+class NoiseCalibrationFailed(NoiseError):
+    """There is too little or no noise to learn a profile from."""
+
+    code, title = "noise_calibration_failed", "Noise calibration failed"
+
+
+class NoiseStoreFull(NoiseError):
+    """The service holds as many noise profiles as it keeps."""
+
+    code, status, title = "noise_full", 409, "Too many noise profiles"
+
+
 class UploadError(DoaError):
     """The request's body cannot be taken."""
 
@@ -175,6 +224,61 @@ class UnsupportedMediaType(UploadError):
     """The body's content type is neither a form nor audio."""
 
     code, status, title = "media_type_unsupported", 415, "Unsupported media type"
+
+
+class StreamProtocolError(DoaError):
+    """A stream's client broke the protocol, or the session met one of its limits."""
+
+    code, status, title = "stream_invalid", 400, "Invalid stream"
+    close_code = 4400
+
+
+class InvalidMessage(StreamProtocolError):
+    """A message is no JSON, of no known type, or one of its fields is wrong."""
+
+    code, title = "message_invalid", "Invalid message"
+
+
+class SubprotocolMissing(StreamProtocolError):
+    """The WebSocket's client did not offer the subprotocol ``doa.v1``."""
+
+    code, title = "subprotocol_missing", "Subprotocol missing"
+
+
+class AudioBeforeStart(StreamProtocolError):
+    """Audio came before the message ``start``."""
+
+    code, title, close_code = "audio_before_start", "Audio before start", 1003
+
+
+class MessageTooBig(StreamProtocolError):
+    """A message is larger than 64 KiB."""
+
+    code, title, close_code = "message_too_big", "Message too big", 1009
+
+
+class StreamTimeout(StreamProtocolError):
+    """Nothing came, or nothing was read, for too long."""
+
+    code, title, close_code = "timeout", "Timeout", 4408
+
+
+class SessionLimit(StreamProtocolError):
+    """The session reached its longest duration."""
+
+    code, title, close_code = "session_limit", "Session limit", 4410
+
+
+class TooManySessions(StreamProtocolError):
+    """This client has as many sessions as one client may have."""
+
+    code, status, title, close_code = "too_many_sessions", 429, "Too many sessions", 4429
+
+
+class OriginRefused(StreamProtocolError):
+    """A page of this origin may not open streams."""
+
+    code, status, title, close_code = "origin_refused", 403, "Origin refused", 1008
 
 
 class BundleError(DoaError):
@@ -211,6 +315,7 @@ class CapacityError(DoaError):
     """The service is full; the same request may pass later."""
 
     code, status, title, retryable = "capacity", 503, "Out of capacity", True
+    close_code = 1013
 
 
 class Overloaded(CapacityError):
@@ -229,3 +334,4 @@ class Draining(CapacityError):
     """The service is shutting down."""
 
     code, title = "draining", "Shutting down"
+    close_code = 1012

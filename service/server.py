@@ -5,16 +5,20 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 
 import uvicorn
 
-from service.api.workers import WorkerPool
+from service.api.state import ServiceState
 from service.app import create_app
 from service.settings import Settings
 from service.startup import load_registry
 
 GRACE = 10
 """Seconds that running requests get to finish after SIGTERM"""
+WS_MAX_SIZE = 2**20
+"""Bytes of a WebSocket message; the stream says what is wrong from 64 KiB on, beyond this only a
+close frame does"""
 FAREWELL = 5
 """Seconds beyond, in which those that did not are told so"""
 
@@ -25,11 +29,11 @@ class Server(uvicorn.Server):
     def __init__(
         self,
         config: uvicorn.Config,
-        workers: WorkerPool,
+        state: ServiceState,
         announce: Callable[[str], None] | None = None,
     ) -> None:
         super().__init__(config)
-        self._workers = workers
+        self._state = state
         self._announce = announce
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -39,7 +43,12 @@ class Server(uvicorn.Server):
             self._announce(f"http://{f'[{host}]' if ':' in host else host}:{port}")
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        asyncio.get_running_loop().call_later(GRACE, self._workers.stop)
+        asyncio.get_running_loop().call_later(GRACE, self._state.workers.stop)
+        # uvicorn would cut the sockets before the application hears of it.
+        self._state.streams.drain()
+        with suppress(TimeoutError):
+            async with asyncio.timeout(FAREWELL):
+                await self._state.streams.empty.wait()
         await super().shutdown(sockets)
 
 
@@ -59,6 +68,8 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
         log_level=settings.log_level,
         server_header=False,
         timeout_graceful_shutdown=GRACE + FAREWELL,
-        ws="none",
+        ws="websockets-sansio",
+        ws_max_size=WS_MAX_SIZE,
+        ws_per_message_deflate=False,
     )
-    Server(config, app.state.service.workers, announce).run()
+    Server(config, app.state.service, announce).run()

@@ -68,6 +68,20 @@ class Settings(BaseSettings):
     """Longest recording in seconds"""
     max_channels: int = Field(64, ge=2, le=1024)
     """Most channels of a recording"""
+    max_sessions: int = Field(64, ge=0, le=100_000)
+    """Streams at the same time; further ones get 503"""
+    max_sessions_per_client: int = Field(8, ge=1, le=100_000)
+    """Streams of one client name at the same time"""
+    stream_buffer: float = Field(0.5, ge=0.05, le=60)
+    """Seconds of a stream's audio that may wait; older audio is dropped"""
+    idle_timeout: float = Field(30.0, gt=0, le=86_400)
+    """Seconds without any message after which a stream ends"""
+    max_session: float = Field(86_400.0, gt=0)
+    """Seconds after which a stream ends"""
+    origins: Annotated[tuple[str, ...], NoDecode] = ()
+    """Origins of web pages that may open streams besides the service's own, by commas; * for all"""
+    noise_folder: Path | None = None
+    """Folder in which noise profiles outlive the process; None keeps them in memory"""
     log_level: LogLevel = "info"
     """Least severe messages that are logged"""
 
@@ -75,6 +89,11 @@ class Settings(BaseSettings):
     @classmethod
     def _split_path(cls, value: object) -> object:
         return tuple(filter(None, value.split(os.pathsep))) if isinstance(value, str) else value
+
+    @field_validator("origins", mode="before")
+    @classmethod
+    def _split_commas(cls, value: object) -> object:
+        return tuple(filter(None, value.split(","))) if isinstance(value, str) else value
 
 
 def load_settings(**overrides: Any) -> Settings:

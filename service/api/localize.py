@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import BinaryIO
 
 from fastapi import APIRouter, Request, Response
@@ -43,7 +44,7 @@ async def localize(request: Request) -> Response:
     query parameters; `array` is required.
     """
     state = state_of(request)
-    state.models()
+    state.admit()
     state.workers.check()
     async with read_upload(request) as upload:
         asked = read_options(upload.options)
@@ -58,9 +59,12 @@ def _answer(
 ) -> bytes:
     """The answer's JSON; everything that takes time is in here, in a worker thread."""
     registry = state.models()
+    options = asked.options
+    if asked.noise is not None:
+        options = replace(options, noise=state.noise.get(asked.noise).noise)
     with Recording.open(file, state.audio_limits) as recording:
         _check_windows(recording.duration, asked)
-        result = localize_recording(recording, asked.options, registry, progress)
+        result = localize_recording(recording, options, registry, progress)
     return LocalizationAnswer.of(result, spectrum=asked.spectrum).to_json()
 
 

@@ -35,6 +35,8 @@ class LocalizeRequest:
 
     options: LocalizeOptions
     spectrum: bool = False
+    noise: str | None = None
+    """Name of the stored profile of the robot's own noise"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +126,12 @@ OPTIONS: Mapping[str, Option] = {
     ),
     "window_s": number(0.128, 10, DEFAULT_WINDOW_S, "Seconds of audio per result."),
     "hop_s": number(0.02, 10, DEFAULT_HOP_S, "Seconds from one result to the next."),
+    "noise": Option(
+        str,
+        {"type": "string"},
+        "Name of a profile of the robot's own noise, which is taken away (`GET /noise` lists them, "
+        "`PUT /noise/{name}` stores one).",
+    ),
     "spectrum": Option(
         read_flag,
         {"type": "boolean", "default": False},
@@ -153,8 +161,9 @@ def read_options(pairs: Iterable[tuple[str, str]]) -> LocalizeRequest:
             f"{', '.join(PRESETS)}, or send its geometry as JSON with positions_m"
         )
     spectrum = values.pop("spectrum", False)
+    noise = values.pop("noise", None)
     _check(values)
-    return LocalizeRequest(LocalizeOptions(**values), spectrum)
+    return LocalizeRequest(LocalizeOptions(**values), spectrum, noise)
 
 
 def _read(name: str, text: str) -> Any:

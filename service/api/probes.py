@@ -10,7 +10,7 @@ from service import __version__
 from service.api.problems import problem_responses
 from service.api.schemas import Answer
 from service.api.state import state_of
-from service.errors import NotReady
+from service.errors import Draining, NotReady
 
 router = APIRouter(tags=["service"])
 
@@ -36,10 +36,14 @@ async def livez() -> StatusAnswer:
     return StatusAnswer()
 
 
-@router.get("/readyz", summary="Can requests be served?", responses=problem_responses(NotReady))
+@router.get(
+    "/readyz",
+    summary="Can requests be served?",
+    responses=problem_responses(NotReady, Draining),
+)
 async def readyz(request: Request) -> StatusAnswer:
-    """200 once the models are loaded and self-tested, else 503."""
-    state_of(request).models()
+    """200 once the models are loaded and self-tested and until the service stops, else 503."""
+    state_of(request).admit()
     return StatusAnswer()
 
 
@@ -50,6 +54,7 @@ async def root() -> RootAnswer:
         "localize": "/localize",
         "models": "/models",
         "arrays": "/arrays",
+        "noise": "/noise",
         "documentation": "/docs",
         "openapi": "/openapi.json",
     }

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
 
 from fastapi import Request
 
 from service.api.workers import WorkerPool
 from service.audio import AudioLimits
-from service.errors import NotReady
+from service.errors import Draining, NotReady
+from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.settings import Settings
+from service.streaming.registry import SessionRegistry
 
 
 @dataclass(slots=True)
@@ -19,8 +22,13 @@ class ServiceState:
 
     settings: Settings
     workers: WorkerPool
+    streams: SessionRegistry
+    stream_pool: Executor
+    """Threads that streams compute in"""
     registry: BundleRegistry | None = None
     """None until the bundles are loaded and self-tested"""
+    noise: NoiseStore = field(default_factory=NoiseStore)
+    """Profiles of robots' own noises"""
 
     @property
     def audio_limits(self) -> AudioLimits:
@@ -32,6 +40,12 @@ class ServiceState:
         if self.registry is None:
             raise NotReady("the models are being loaded: try again in a moment")
         return self.registry
+
+    def admit(self) -> BundleRegistry:
+        """The loaded bundles for something new; raises Draining once the service shuts down."""
+        if self.streams.draining:
+            raise Draining("the service is shutting down: try again in a moment")
+        return self.models()
 
 
 def state_of(request: Request) -> ServiceState:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,6 +42,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--max-sources", metavar="M", help="most sources, where it is estimated")
     parser.add_argument("--window", dest="window_s", metavar="SECONDS", help="audio per result")
     parser.add_argument("--hop", dest="hop_s", metavar="SECONDS", help="time between results")
+    parser.add_argument(
+        "--noise",
+        type=Path,
+        metavar="NPZ",
+        help="a profile of the robot's own noise (neuralmusic noise), which is taken away",
+    )
     parser.add_argument("--plot", type=Path, metavar="PNG", help="write a picture")
     parser.add_argument("--json", action="store_true", help="print the HTTP interface's answer")
     parser.add_argument(
@@ -54,7 +61,12 @@ def run(args: argparse.Namespace) -> int:
         from service.plot import check_drawable
 
         check_drawable(args.plot)  # before the work, not after it
-    result = _localize(args, asked.options)
+    options = asked.options
+    if args.noise:
+        from service.inference.noise_profile import load_noise
+
+        options = replace(options, noise=load_noise(args.noise))
+    result = _localize(args, options)
     if args.plot:
         from service.plot import save_figure
 

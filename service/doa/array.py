@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -47,12 +47,16 @@ class MicrophoneArray:
     name: str
     positions: FloatArray
     source: str = ""
+    linear: bool = field(init=False)
+    """True where all microphones lie on one line, so front and back cannot be told apart"""
 
     def __post_init__(self) -> None:
         positions = np.array(self.positions, dtype=np.float64)
         validate_positions(positions)
         positions.setflags(write=False)
         object.__setattr__(self, "positions", positions)
+        spread = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
+        object.__setattr__(self, "linear", bool(spread[1] < MIN_SPACING))
 
     @property
     def num_microphones(self) -> int:
@@ -62,12 +66,6 @@ class MicrophoneArray:
     def aperture(self) -> float:
         """Largest distance between two microphones in metres."""
         return float(pairwise_distances(self.positions).max())
-
-    @property
-    def linear(self) -> bool:
-        """True where all microphones lie on one line, so front and back cannot be told apart."""
-        centred = self.positions - self.positions.mean(axis=0)
-        return bool(np.linalg.svd(centred, compute_uv=False)[1] < MIN_SPACING)
 
     def matches(self, other: MicrophoneArray, tolerance: float = 1e-3) -> bool:
         """True where both hold the same microphones in the same order, up to a translation."""

@@ -53,7 +53,7 @@ def norm_music(covariance: ComplexArray, steering: ComplexArray, num_sources: in
     return mean_fusion(normalise(music_spectrum(subspace, steering)))
 
 
-def srp_phat(spectra: ComplexArray, steering: ComplexArray) -> FloatArray:
+def srp_phat(cross: ComplexArray, steering: ComplexArray) -> FloatArray:
     """Steered response power with the phase transform.
 
     The mean over bins, frames and microphone pairs of Re(conj(a_i) a_j x_i conj(x_j)) with unit
@@ -61,7 +61,8 @@ def srp_phat(spectra: ComplexArray, steering: ComplexArray) -> FloatArray:
 
     Parameters
     ----------
-    spectra : (..., N, F, L) complex64
+    cross : (..., F, N, N) complex64
+        ``sample_covariance`` of ``phase_transform``.
     steering : (F, N, A) complex64
 
     Returns
@@ -72,10 +73,13 @@ def srp_phat(spectra: ComplexArray, steering: ComplexArray) -> FloatArray:
     ----------
     DiBiase, 2000, A high-accuracy, low-latency technique for talker localization, eq. (5.2).
     """
-    magnitude = np.maximum(np.abs(spectra), np.finfo(np.float32).tiny)
-    by_bin = np.swapaxes(spectra / magnitude, -3, -2)  # (..., F, N, L)
-    cross = by_bin @ np.conj(np.swapaxes(by_bin, -1, -2)) / np.float32(spectra.shape[-1])
     response = np.sum(np.conj(steering) * (cross @ steering), axis=-2).real  # (..., F, A)
-    microphones = spectra.shape[-3]
+    microphones = cross.shape[-1]
     pairs: FloatArray = (mean_fusion(response) - microphones) / (microphones * (microphones - 1))
     return pairs.astype(np.float32)
+
+
+def phase_transform(spectra: ComplexArray) -> ComplexArray:
+    """Spectra (..., N, F, L) with unit magnitudes, zero where there is nothing."""
+    transformed: ComplexArray = spectra / np.maximum(np.abs(spectra), np.finfo(np.float32).tiny)
+    return transformed

@@ -17,23 +17,27 @@ LEVEL_FLOOR = 1e-5  # of the window's mean power, 50 dB down: quieter cells look
 LEVEL_SCALE = 0.25  # brings the natural logarithm of power to unit spread
 
 
-def coherence_features(spectra: ComplexArray) -> FloatArray:
+def coherence_features(spectra: ComplexArray, mean_power: FloatArray | None = None) -> FloatArray:
     """Level, onset and the coherences of every time-frequency cell with its neighbours.
 
     Parameters
     ----------
     spectra : (..., N, F, L) complex64
+    mean_power : (...,) float32, optional
+        Mean over cells of ||x||^2 that levels are relative to; by default that of ``spectra``. A
+        stream gives that of its last second with a few frames.
 
     Returns
     -------
     features : (..., 5, F, L) float32
-        Log power of the channel vector relative to the window's mean, its difference to the frame
+        Log power of the channel vector relative to the mean, its difference to the frame
         before, and |x_t^H x_(t-1)|, |x_t^H x_(t-2)| and |x_f^H x_(f-2)| of vectors of unit norm.
         Cells without a predecessor hold zeros.
     """
     power = np.sum(spectra.real**2 + spectra.imag**2, axis=-3)  # (..., F, L)
     tiny = np.finfo(np.float32).tiny
-    mean = np.maximum(power.mean(axis=(-2, -1), keepdims=True), tiny)
+    reference = power.mean(axis=(-2, -1)) if mean_power is None else mean_power
+    mean = np.maximum(reference, tiny)[..., None, None]
     level = np.float32(LEVEL_SCALE) * np.log(power / mean + np.float32(LEVEL_FLOOR))
     unit = spectra / np.sqrt(np.maximum(power, tiny))[..., None, :, :]
     features = np.zeros((*power.shape[:-2], NUM_FEATURES, *power.shape[-2:]), dtype=np.float32)

@@ -38,9 +38,9 @@ def find_peaks(
     peaks : list of Peak
         Fewer than ``max_peaks`` where the spectrum has fewer maxima; a constant one has none.
     """
-    left, right = np.roll(spectrum, 1), np.roll(spectrum, -1)
+    closed = np.concatenate([spectrum[-1:], spectrum, spectrum[:1]])
     # The strict side makes a plateau of two equal samples one maximum instead of none or two.
-    candidates = np.flatnonzero((spectrum > left) & (spectrum >= right))
+    candidates = np.flatnonzero((spectrum > closed[:-2]) & (spectrum >= closed[2:]))
     order = candidates[np.argsort(-spectrum[candidates], kind="stable")]
     step = 2 * np.pi / spectrum.size
     kept: list[Peak] = []

@@ -63,6 +63,26 @@ class Stft:
         return transposed
 
 
+class StreamingStft:
+    """The STFT of audio that comes in pieces: every frame is transformed once.
+
+    Any split of the same audio gives the same frames.
+    """
+
+    def __init__(self, stft: Stft, num_channels: int) -> None:
+        self._stft = stft
+        self._rest = np.zeros((num_channels, 0), dtype=np.float32)
+
+    def push(self, audio: FloatArray) -> ComplexArray:
+        """Take audio (N, T) float32 of any length, give the frames (N, F, L) that it completes."""
+        joined = np.concatenate([self._rest, audio], axis=1)
+        frames = self._stft.num_frames(joined.shape[1])
+        self._rest = joined[:, frames * self._stft.hop :]
+        if frames == 0:
+            return np.zeros((len(joined), self._stft.num_bins, 0), dtype=np.complex64)
+        return self._stft.transform(joined)
+
+
 @lru_cache(maxsize=8)
 def hann(length: int) -> FloatArray:
     """Periodic Hann window, (length,) float32."""

@@ -16,7 +16,7 @@ from service.doa.stft import Stft
 from service.doa.types import FloatArray
 from service.errors import BundleCorrupt, BundleIncompatible, BundleNotFound
 from service.inference.engine import Engine
-from service.inference.manifest import SCHEMA_VERSION, Manifest
+from service.inference.manifest import SCHEMA_VERSION, Graph, Manifest
 from service.inference.results import ModelIdentity
 
 MANIFEST = "bundle.json"
@@ -25,10 +25,12 @@ SOURCE_COUNT = "source_count.onnx"
 FUSION = "fusion.npz"
 GOLDEN = "golden.npz"
 FILES = (COVARIANCE, SOURCE_COUNT, FUSION, GOLDEN)
+COVARIANCE_STREAM = "covariance_stream.onnx"
+"""The covariance network over a stream, frame after frame with its state; `weights` bundles"""
 CARD = "card.md"
 PARAMETERS = "parameters.npz"
-OPTIONAL_FILES = (CARD, PARAMETERS)
-"""Nothing that serving needs; verified where the manifest names them"""
+OPTIONAL_FILES = (COVARIANCE_STREAM, CARD, PARAMETERS)
+"""Nothing that recordings need; verified where the manifest names them"""
 MAX_FILE_BYTES = 256 * 2**20
 
 
@@ -44,6 +46,7 @@ class Bundle:
     source_count: Engine
     fusion: Mapping[str, FloatArray]
     golden: Mapping[str, FloatArray]
+    covariance_stream: Engine | None = None
     card: str | None = None
     """The model card, Markdown"""
 
@@ -83,16 +86,20 @@ def load_bundle(folder: Path, *, threads: int = 1) -> Bundle:
         If a file is missing, differs from its hash or cannot be read.
     """
     manifest, digest = read_manifest(folder)
-    for name in (*FILES, *(name for name in OPTIONAL_FILES if name in manifest.files)):
+    named = set(manifest.files) | ({COVARIANCE_STREAM} if manifest.covariance_stream else set())
+    for name in (*FILES, *(name for name in OPTIONAL_FILES if name in named)):
         _verify(folder, name, manifest.files.get(name))
     return Bundle(
         folder=folder,
         manifest=manifest,
         sha256=digest,
-        covariance=_engine(folder, COVARIANCE, manifest, threads),
-        source_count=_engine(folder, SOURCE_COUNT, manifest, threads),
+        covariance=_engine(folder / COVARIANCE, manifest.covariance, threads),
+        source_count=_engine(folder / SOURCE_COUNT, manifest.source_count, threads),
         fusion=read_arrays(folder / FUSION),
         golden=read_arrays(folder / GOLDEN),
+        covariance_stream=_engine(folder / COVARIANCE_STREAM, manifest.covariance_stream, threads)
+        if manifest.covariance_stream
+        else None,
         card=_text(folder / CARD) if CARD in manifest.files else None,
     )
 
@@ -138,14 +145,13 @@ def _verify(folder: Path, name: str, expected: str | None) -> None:
         raise BundleCorrupt(f"{path} differs from its hash in {MANIFEST}: copy the bundle again")
 
 
-def _engine(folder: Path, name: str, manifest: Manifest, threads: int) -> Engine:
-    engine = Engine(folder / name, threads=threads)
-    graph = manifest.covariance if name == COVARIANCE else manifest.source_count
+def _engine(path: Path, graph: Graph, threads: int) -> Engine:
+    engine = Engine(path, threads=threads)
     inputs, outputs = [t.name for t in graph.inputs], [t.name for t in graph.outputs]
     if engine.inputs != inputs or engine.outputs != outputs:
         raise BundleCorrupt(
-            f"{folder / name} takes {engine.inputs} and gives {engine.outputs}, but {MANIFEST} "
-            f"says {inputs} and {outputs}"
+            f"{path} takes {engine.inputs} and gives {engine.outputs}, but {MANIFEST} says "
+            f"{inputs} and {outputs}"
         )
     return engine
 

@@ -12,6 +12,7 @@ from service.doa.peaks import find_peaks
 from service.doa.steering import azimuth_grid, steering_vectors
 from service.doa.stft import Stft
 from service.doa.types import ComplexArray, FloatArray
+from service.doa.whitening import NoiseCovariance, Whitening
 from service.inference.results import Method, Source, WindowEstimate
 
 BAND = (300.0, 3500.0)
@@ -27,12 +28,22 @@ LEAST_RESPONSE = 0.03
 class ClassicalLocalizer:
     """MUSIC, NormMUSIC or SRP-PHAT on windows of one array's audio."""
 
-    def __init__(self, method: Method, array: MicrophoneArray, stft: Stft | None = None) -> None:
+    def __init__(
+        self,
+        method: Method,
+        array: MicrophoneArray,
+        stft: Stft | None = None,
+        noise: NoiseCovariance | None = None,
+    ) -> None:
         self._method = method
         self._stft = stft or Stft()
         frequencies = self._stft.frequencies
         self._band = (frequencies >= BAND[0]) & (frequencies <= BAND[1])
         self._steering = steering_vectors(array.positions, frequencies[self._band], azimuth_grid())
+        self._whitening: Whitening | None = None
+        if noise is not None:
+            self._whitening = Whitening.fitting(noise, array, self._stft).band(self._band)
+            self._steering = self._whitening.steering(self._steering)
         self._searched = searched_half(array, azimuth_grid())
         self._most_sources = array.num_microphones - 1
 
@@ -40,18 +51,31 @@ class ClassicalLocalizer:
         self, windows: FloatArray, num_sources: int | None, max_sources: int
     ) -> list[WindowEstimate]:
         """Directions of every window (B, N, T); without a known count, all distinct peaks."""
-        spectra = self._stft.transform(windows)[..., self._band, :]
-        dimension = min(num_sources or 1, self._most_sources)
         return [
-            self._pick(self.spectrum(window, dimension), num_sources, max_sources)
-            for window in spectra
+            self.localize(self.covariance(window), num_sources, max_sources)
+            for window in self._stft.transform(windows)
         ]
 
-    def spectrum(self, spectra: ComplexArray, num_sources: int) -> FloatArray:
-        """Broadband spectrum (A,) of one window's band (N, F, L)."""
+    def covariance(self, spectra: ComplexArray) -> ComplexArray:
+        """What the method needs of spectra (N, F, L): (F', N, N), a mean over frames."""
+        band = spectra[:, self._band]
+        if self._whitening is not None:
+            band = self._whitening.apply(band)
+        return sample_covariance(
+            classical.phase_transform(band) if self._method == "srp_phat" else band
+        )
+
+    def localize(
+        self, covariance: ComplexArray, num_sources: int | None, max_sources: int
+    ) -> WindowEstimate:
+        """Directions from what ``covariance`` gives."""
+        dimension = min(num_sources or 1, self._most_sources)
+        return self._pick(self.spectrum(covariance, dimension), num_sources, max_sources)
+
+    def spectrum(self, covariance: ComplexArray, num_sources: int) -> FloatArray:
+        """Broadband spectrum (A,) from what ``covariance`` gives."""
         if self._method == "srp_phat":
-            return np.maximum(classical.srp_phat(spectra, self._steering), 0)
-        covariance = sample_covariance(spectra)
+            return np.maximum(classical.srp_phat(covariance, self._steering), 0)
         method = classical.music if self._method == "music" else classical.norm_music
         return method(covariance, self._steering, num_sources)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import onnxruntime as ort
 
 from service.doa.types import FloatArray
@@ -36,6 +37,11 @@ class Engine:
             ) from error
         self.inputs = [node.name for node in self._session.get_inputs()]
         self.outputs = [node.name for node in self._session.get_outputs()]
+        self._shapes = [node.shape for node in self._session.get_inputs()]
+
+    def initial_state(self) -> list[FloatArray]:
+        """Zeros for every input after the first, with a batch of one, for a stream's graph."""
+        return [np.zeros((1, *map(int, shape[1:])), np.float32) for shape in self._shapes[1:]]
 
     def run(self, inputs: Sequence[FloatArray]) -> list[FloatArray]:
         """The graph's outputs, in the graph's order, for its inputs in the graph's order."""

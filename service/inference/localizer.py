@@ -6,6 +6,8 @@ from typing import Protocol
 
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
+from service.doa.whitening import NoiseCovariance
+from service.errors import InvalidOption
 from service.inference.bundle import Bundle
 from service.inference.regression import RegressionLocalizer
 from service.inference.results import WindowEstimate
@@ -22,8 +24,24 @@ class Localizer(Protocol):
         ...
 
 
-def localizer_of(bundle: Bundle, array: MicrophoneArray) -> Localizer:
-    """The localizer of a bundle's variant for an array that the bundle fits."""
+def localizer_of(
+    bundle: Bundle, array: MicrophoneArray, noise: NoiseCovariance | None = None
+) -> Localizer:
+    """The localizer of a bundle's variant for an array that the bundle fits.
+
+    Raises
+    ------
+    InvalidOption
+        If a noise is given and the variant knows only the array's own spectra.
+    NoiseMismatch
+        If the noise is not of this array and the bundle's frames.
+    """
     if bundle.manifest.variant == "weights":
-        return WeightsLocalizer(bundle, array)
+        return WeightsLocalizer(bundle, array, noise)
+    if noise is not None:
+        raise InvalidOption(
+            f"noise cannot be used with the model {bundle.manifest.name}: its network takes the "
+            "array's own spectra, not whitened ones; leave noise out, or choose a model of the "
+            "variant weights or a classical method"
+        )
     return RegressionLocalizer(bundle, array)

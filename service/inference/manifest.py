@@ -73,6 +73,8 @@ class Manifest(_Section):
     """SHA-256 of every other file of the bundle"""
     covariance: Graph
     source_count: Graph
+    covariance_stream: Graph | None = None
+    """Of the covariance network over a stream, where the bundle has one"""
     training: dict[str, Any]
     """Configuration, seed, steps and data"""
     scores: dict[str, Any]

@@ -8,17 +8,21 @@ from itertools import islice
 import numpy as np
 
 from service.audio import Recording
-from service.doa.array import MicrophoneArray, validate_channel_map
+from service.doa.array import MicrophoneArray
 from service.doa.diagnostics import ChannelDiagnostics
-from service.doa.presets import RAW_CHANNELS
 from service.doa.stft import Stft
 from service.doa.types import FloatArray
-from service.errors import ChannelMismatch, GeometryMismatch, TooManySources
-from service.inference.bundle import Bundle
+from service.inference.choice import (
+    check_num_sources,
+    choose_channels,
+    choose_method,
+    method_warnings,
+)
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, localizer_of
 from service.inference.registry import BundleRegistry
 from service.inference.results import (
+    SILENCE,
     AudioWarning,
     LocalizeOptions,
     Method,
@@ -29,8 +33,6 @@ from service.inference.results import (
 from service.inference.summary import summarise
 from service.inference.windows import Window, windows
 
-SILENCE = 1e-9
-"""Mean square of -90 dBFS, below the rounding noise of 14 bits: nothing was recorded"""
 BATCH_WINDOWS = 4
 """Windows per network call; more gain nothing on one thread and cost memory"""
 
@@ -54,11 +56,15 @@ def localize_recording(
         If the options do not fit the recording, the array or the models.
     """
     array = options.array
-    channel_map = _channel_map(recording, options)
-    _check_num_sources(options)
-    method, bundle = _choose(options, registry)
+    channel_map = choose_channels(recording.channels, array, options.channel_map)
+    check_num_sources(options.num_sources, array)
+    method, bundle = choose_method(options.method, options.model, array, registry)
     stft = bundle.stft if bundle else Stft()
-    localizer = localizer_of(bundle, array) if bundle else ClassicalLocalizer(method, array, stft)
+    localizer = (
+        localizer_of(bundle, array, options.noise)
+        if bundle
+        else ClassicalLocalizer(method, array, stft, options.noise)
+    )
     diagnostics = ChannelDiagnostics(stft.sample_rate, array.num_microphones, channel_map)
     blocks = _observed(recording.blocks(channel_map, stft.sample_rate), diagnostics)
     cut = windows(blocks, stft.sample_rate, options.window_s, options.hop_s, stft.n_fft - stft.hop)
@@ -84,61 +90,6 @@ def localize_recording(
         summary=summarise(results),
         warnings=_warnings(options, method, array, diagnostics),
     )
-
-
-def _channel_map(recording: Recording, options: LocalizeOptions) -> tuple[int, ...]:
-    """One recording channel per microphone, or ChannelMismatch with what to do."""
-    microphones, channels = options.array.num_microphones, recording.channels
-    if options.channel_map is not None:
-        chosen = validate_channel_map(options.channel_map, microphones)
-        if max(chosen) >= channels:
-            raise ChannelMismatch(
-                f"channel_map names channel {max(chosen)}, but the recording has {channels} "
-                f"channels, 0 to {channels - 1}"
-            )
-        return chosen
-    if channels == microphones:
-        return tuple(range(microphones))
-    raw = RAW_CHANNELS.get(options.array.name, {}).get(channels)
-    if raw:
-        advice = (
-            f"this device's {channels}-channel firmware has the raw microphones in channels "
-            f"{', '.join(map(str, raw))}: pass channel_map={','.join(map(str, raw))}"
-        )
-    elif channels > microphones:
-        advice = f"pass channel_map with the {microphones} channels of the raw microphones"
-    else:
-        advice = "record all microphones as separate channels, or choose the array that was used"
-    raise ChannelMismatch(
-        f"the recording has {channels} channel{'s' if channels != 1 else ''}, but the array "
-        f"{options.array.name} has {microphones} microphones: {advice}"
-    )
-
-
-def _check_num_sources(options: LocalizeOptions) -> None:
-    microphones = options.array.num_microphones
-    if options.num_sources is not None and options.num_sources >= microphones:
-        raise TooManySources(
-            f"num_sources is {options.num_sources}, but {microphones} microphones can tell apart "
-            f"at most {microphones - 1} sources"
-        )
-
-
-def _choose(options: LocalizeOptions, registry: BundleRegistry) -> tuple[Method, Bundle | None]:
-    """The method that will run and, for `neural`, its bundle."""
-    if options.model is not None:
-        registry.get(options.model)  # an unknown name is an error with a classical method, too
-    if options.method not in (None, "neural"):
-        return options.method, None
-    bundle = registry.for_array(options.array, options.model)
-    if bundle:
-        return "neural", bundle
-    if options.method == "neural":
-        raise GeometryMismatch(
-            f"no loaded model fits the array {options.array.name}: leave the method out, or "
-            "choose norm_music, music or srp_phat"
-        )
-    return "norm_music", None
 
 
 def _estimate(
@@ -169,13 +120,4 @@ def _warnings(
     diagnostics: ChannelDiagnostics,
 ) -> list[AudioWarning]:
     found = [AudioWarning(f.code, f.detail) for f in diagnostics.findings(array)]
-    if options.method is None and method != "neural":
-        detail = f"no loaded model fits the array {array.name}: {method} was used instead"
-        found.append(AudioWarning("no_model_for_array", detail))
-    if array.linear:
-        detail = (
-            "all microphones lie on one line: every direction has a mirror image behind the line, "
-            "which is left out"
-        )
-        found.append(AudioWarning("front_back_ambiguous", detail))
-    return found
+    return found + method_warnings(options.method, method, array)

@@ -33,7 +33,13 @@ class RegressionLocalizer:
         self, windows: FloatArray, num_sources: int | None, max_sources: int
     ) -> list[WindowEstimate]:
         """Directions of every window (B, N, T); see ``WeightsLocalizer.estimate``."""
-        features = spectrogram_features(self._cropped(windows))
+        return self.localize(self._stft.transform(windows), num_sources, max_sources)
+
+    def localize(
+        self, spectra: ComplexArray, num_sources: int | None, max_sources: int
+    ) -> list[WindowEstimate]:
+        """Directions of every window's spectra (B, N, F, L)."""
+        features = spectrogram_features(self._cropped(spectra))
         covariance = self.covariance(features)
         (logits,) = self._bundle.source_count.run([features])
         probabilities = np.exp(logits - logits.max(axis=-1, keepdims=True))
@@ -42,7 +48,7 @@ class RegressionLocalizer:
         if num_sources is not None:
             counts[:] = num_sources
         return [
-            self._localize(matrices, int(count), chances)
+            self._pick(matrices, int(count), chances)
             for matrices, count, chances in zip(covariance, counts, probabilities, strict=True)
         ]
 
@@ -61,9 +67,7 @@ class RegressionLocalizer:
         )
         return attention_fusion(spectra, attention)
 
-    def _localize(
-        self, covariance: ComplexArray, count: int, chances: FloatArray
-    ) -> WindowEstimate:
+    def _pick(self, covariance: ComplexArray, count: int, chances: FloatArray) -> WindowEstimate:
         microphones = covariance.shape[-1]
         fused = self.fused(covariance, min(max(count, 1), microphones - 1))
         sources = tuple(
@@ -73,8 +77,8 @@ class RegressionLocalizer:
         )
         return WindowEstimate(sources, fused)
 
-    def _cropped(self, windows: FloatArray) -> ComplexArray:
-        """STFT cropped or zero-padded to the frames that the network was trained on."""
-        spectra = self._stft.transform(windows)[..., : self._frames]
-        missing = self._frames - spectra.shape[-1]
-        return np.pad(spectra, [(0, 0)] * (spectra.ndim - 1) + [(0, missing)])
+    def _cropped(self, spectra: ComplexArray) -> ComplexArray:
+        """As many frames as the network was trained on, zero-padded where there are fewer."""
+        latest = spectra[..., : self._frames]
+        missing = self._frames - latest.shape[-1]
+        return np.pad(latest, [(0, 0)] * (latest.ndim - 1) + [(0, missing)])

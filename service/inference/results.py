@@ -8,6 +8,7 @@ from typing import Literal, get_args
 
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
+from service.doa.whitening import NoiseCovariance
 
 Method = Literal["neural", "norm_music", "music", "srp_phat"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -16,6 +17,8 @@ DEFAULT_WINDOW_S = 1.024
 DEFAULT_HOP_S = 0.512
 DEFAULT_MAX_SOURCES = 3
 MAX_SOURCES = 4
+SILENCE = 1e-9
+"""Mean square of -90 dBFS, below the rounding noise of 14 bits: nothing was recorded"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +101,8 @@ class LocalizeOptions:
     """Seconds per window"""
     hop_s: float = DEFAULT_HOP_S
     """Seconds between windows"""
+    noise: NoiseCovariance | None = None
+    """The robot's own noise, to be taken away"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,8 +13,9 @@ from service.doa.features import coherence_features
 from service.doa.mirror import into_searched_half
 from service.doa.steering import azimuth_grid, resolution, steering_vectors
 from service.doa.stft import Stft
-from service.doa.subspace import eigenvector_power
+from service.doa.subspace import eigenvector_power, principal_eigenvector
 from service.doa.types import ComplexArray, FloatArray
+from service.doa.whitening import NoiseCovariance, Whitening
 from service.inference.bundle import Bundle
 from service.inference.candidates import Candidates, find_candidates
 from service.inference.descriptors import Field
@@ -45,19 +47,32 @@ class Analysis:
     """Exponent of the dominance in the attention"""
     window_share: float
     """Attention of a bin's whole window against the sum of its blocks'"""
+    bins_per_cell: int = 1
+    """Neighbouring bins whose covariances are added up; more than one only without whitening"""
 
 
 class CandidateSearch:
     """Windows of one array's audio to candidate sources, before anything is counted."""
 
-    def __init__(self, covariance: Engine, analysis: Analysis, array: MicrophoneArray) -> None:
+    def __init__(
+        self,
+        covariance: Engine,
+        analysis: Analysis,
+        array: MicrophoneArray,
+        noise: NoiseCovariance | None = None,
+    ) -> None:
         self._covariance = covariance
         self._array = array
         self._analysis = analysis
         self._bins = slice(analysis.first_bin, analysis.first_bin + analysis.num_bins)
-        frequencies = analysis.stft.frequencies[self._bins]
+        every = analysis.stft.frequencies[self._bins]
+        frequencies = every.reshape(-1, analysis.bins_per_cell).mean(axis=-1)
         grid = azimuth_grid(analysis.grid_size)
         self._steering = steering_vectors(array.positions, frequencies, grid)
+        self._whitening: Whitening | None = None
+        if noise is not None:
+            self._whitening = Whitening.fitting(noise, array, analysis.stft).band(self._bins)
+            self._steering = self._whitening.steering(self._steering)
         # Small arrays see all directions alike: theirs would be one broad peak otherwise.
         self._resolution = resolution(array.positions, frequencies)
         self._floor = analysis.floor * self._resolution
@@ -73,25 +88,34 @@ class CandidateSearch:
         self, spectra: ComplexArray, weights: FloatArray, attention: FloatArray
     ) -> Candidates:
         principal, dominance = principal_eigenvectors(cell_covariances(spectra, weights))
-        found = find_candidates(self.field(self.cell_spectra(principal), attention, dominance))
+        return self.found(self.cell_spectra(principal), block_means(attention), dominance)
+
+    def found(self, cells: FloatArray, attention: FloatArray, dominance: FloatArray) -> Candidates:
+        """Candidates from cells (F, K, A), the blocks' attentions (F, K - 1), dominance (F, K)."""
+        found = find_candidates(self.field(cells, attention, dominance))
         return replace(found, azimuth=into_searched_half(self._array, found.azimuth))
 
     def field(self, cells: FloatArray, attention: FloatArray, dominance: FloatArray) -> Field:
-        """What candidates are found in, from cells (F, K, A), (F, L) and (F, K)."""
+        """What candidates are found in; parameters as in ``found``."""
         attended = self.attend(attention, dominance)
         return Field(cells, attended, dominance, self._array.num_microphones, self._resolution)
 
     def spectra(self, windows: FloatArray) -> ComplexArray:
-        """STFT of the band in whole blocks of frames: (B, N, F, L) complex64.
+        """STFT of the band in whole blocks of frames: (B, N, F, L) complex64, whitened.
 
         Up to half a block of frames at the end is left out, more is padded with zeros.
         """
-        spectra = self._analysis.stft.transform(windows)[..., self._bins, :]
+        spectra = self.band(self._analysis.stft.transform(windows))
         frames = spectra.shape[-1]
         wanted = max(1, round(frames / BLOCK_FRAMES)) * BLOCK_FRAMES
         if wanted > frames:
             spectra = np.pad(spectra, [(0, 0)] * (spectra.ndim - 1) + [(0, wanted - frames)])
         return spectra[..., :wanted]
+
+    def band(self, spectra: ComplexArray) -> ComplexArray:
+        """The bins that are used of spectra (..., N, F, L), whitened."""
+        band: ComplexArray = spectra[..., self._bins, :]
+        return band if self._whitening is None else self._whitening.apply(band)
 
     def weigh(self, spectra: ComplexArray) -> tuple[FloatArray, FloatArray]:
         """Weights and attentions (B, F, L) from the covariance network."""
@@ -110,11 +134,12 @@ class CandidateSearch:
         return distance
 
     def attend(self, attention: FloatArray, dominance: FloatArray) -> FloatArray:
-        """What every cell counts in the fusion, (F, K) float32 from (F, L) and (F, K)."""
-        attended = attention.reshape(len(attention), -1, BLOCK_FRAMES).mean(axis=-1)
-        whole = attended.sum(axis=-1, keepdims=True) * np.float32(self._analysis.window_share)
+        """What every cell counts in the fusion, (F, K) float32 from (F, K - 1) and (F, K)."""
+        whole = attention.sum(axis=-1, keepdims=True) * np.float32(self._analysis.window_share)
         quality = dominance**self._analysis.dominance_power
-        cells: FloatArray = (np.concatenate([attended, whole], axis=1) * quality).astype(np.float32)
+        cells: FloatArray = (np.concatenate([attention, whole], axis=1) * quality).astype(
+            np.float32
+        )
         return cells
 
 
@@ -126,6 +151,12 @@ def cell_covariances(spectra: ComplexArray, weights: FloatArray) -> ComplexArray
     """
     blocks = diagonal_loading(weighted_covariance(spectra, weights, BLOCK_FRAMES), CELL_LOADING)
     return np.concatenate([blocks, blocks.sum(axis=1, keepdims=True)], axis=1)
+
+
+def block_means(attention: FloatArray) -> FloatArray:
+    """Means (F, K - 1) over blocks of frames of attentions (F, L)."""
+    means: FloatArray = attention.reshape(len(attention), -1, BLOCK_FRAMES).mean(axis=-1)
+    return means
 
 
 def principal_eigenvectors(covariance: ComplexArray) -> tuple[ComplexArray, FloatArray]:
@@ -142,19 +173,43 @@ def principal_eigenvectors(covariance: ComplexArray) -> tuple[ComplexArray, Floa
     dominance : (F, K) float32
         Share of the largest eigenvalue: 0 in an isotropic field, 1 for a single plane wave.
     """
-    values, vectors = np.linalg.eigh(covariance)
+    vectors, share = principal_eigenvector(covariance)
     microphones = covariance.shape[-1]
-    share = values[..., -1] / np.maximum(values.sum(axis=-1), np.finfo(np.float32).tiny)
     dominance = np.clip((share - 1 / microphones) / (1 - 1 / microphones), 1e-4, 1)
-    return np.swapaxes(vectors[..., -1], -1, -2), dominance.astype(np.float32)
+    return np.swapaxes(vectors, -1, -2), dominance.astype(np.float32)
+
+
+class SourceCounter:
+    """From candidates to sources, by the source-count network."""
+
+    def __init__(self, network: Engine) -> None:
+        self._network = network
+
+    def select(
+        self, candidates: Sequence[Candidates], num_sources: int | None, max_sources: int
+    ) -> list[WindowEstimate]:
+        """Every window's sources; parameters as in ``WeightsLocalizer.estimate``."""
+        descriptors = np.stack([window.descriptors for window in candidates])
+        count_logits, confidence_logits = self._network.run([descriptors])
+        counts = np.argmax(count_logits, axis=-1)
+        # Windows unlike any in training, digital silence among them, give logits in the hundreds.
+        confidence = 1 / (1 + np.exp(-np.clip(confidence_logits, -30, 30)))
+        return [
+            select_sources(window, chances, num_sources)
+            if num_sources is not None
+            else select_sources(window, chances, min(int(count), max_sources), LEAST_CONFIDENCE)
+            for window, chances, count in zip(candidates, confidence, counts, strict=True)
+        ]
 
 
 class WeightsLocalizer:
     """Windows of one array's audio to directions, with a `weights` bundle."""
 
-    def __init__(self, bundle: Bundle, array: MicrophoneArray) -> None:
-        self._source_count = bundle.source_count
-        self._search = CandidateSearch(bundle.covariance, analysis_of(bundle), array)
+    def __init__(
+        self, bundle: Bundle, array: MicrophoneArray, noise: NoiseCovariance | None = None
+    ) -> None:
+        self._counter = SourceCounter(bundle.source_count)
+        self._search = CandidateSearch(bundle.covariance, analysis_of(bundle), array, noise)
 
     def estimate(
         self, windows: FloatArray, num_sources: int | None, max_sources: int
@@ -170,18 +225,7 @@ class WeightsLocalizer:
         max_sources : int
             Bound on the estimated count.
         """
-        candidates = self._search.candidates(windows)
-        descriptors = np.stack([window.descriptors for window in candidates])
-        count_logits, confidence_logits = self._source_count.run([descriptors])
-        counts = np.argmax(count_logits, axis=-1)
-        # Windows unlike any in training, digital silence among them, give logits in the hundreds.
-        confidence = 1 / (1 + np.exp(-np.clip(confidence_logits, -30, 30)))
-        return [
-            select_sources(window, chances, num_sources)
-            if num_sources is not None
-            else select_sources(window, chances, min(int(count), max_sources), LEAST_CONFIDENCE)
-            for window, chances, count in zip(candidates, confidence, counts, strict=True)
-        ]
+        return self._counter.select(self._search.candidates(windows), num_sources, max_sources)
 
 
 def analysis_of(bundle: Bundle) -> Analysis:

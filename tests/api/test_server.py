@@ -27,7 +27,7 @@ def address() -> Iterator[str]:
     app = create_app(Settings(max_upload_bytes=LIMIT), BundleRegistry(()))
     config = uvicorn.Config(app, port=0, log_level="critical", ws="none")
     announced: queue.Queue[str] = queue.Queue()
-    server = Server(config, app.state.service.workers, announced.put)
+    server = Server(config, app.state.service, announced.put)
     thread = threading.Thread(target=server.run)
     thread.start()
     yield announced.get(timeout=PATIENCE)

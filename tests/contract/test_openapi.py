@@ -9,7 +9,15 @@ from typing import Any
 import pytest
 import yaml
 
-from service.errors import BundleError, ConfigError, DoaError
+from service.errors import (
+    BundleError,
+    ConfigError,
+    DoaError,
+    NoiseCalibrationFailed,
+    NoiseProfileInvalid,
+    NoiseStoreFull,
+    StreamProtocolError,
+)
 from service.openapi import document_yaml
 
 CHECKED_IN = Path(__file__).parents[2] / "openapi.yaml"
@@ -38,21 +46,50 @@ def test_every_path_of_the_protocol_is_there(document: Any) -> None:
         "/localize",
         "/models",
         "/arrays",
+        "/noise",
+        "/noise/{name}",
         "/livez",
         "/readyz",
+        "/sessions",
+        "/sessions/{session_id}/events",
+        "/sessions/{session_id}/export",
         "/",
     }
 
 
 def test_every_error_of_a_request_is_documented_with_its_status(document: Any) -> None:
-    documented = {
-        (int(status), code)
-        for status, response in document["paths"]["/localize"]["post"]["responses"].items()
-        for code in response["content"].get("application/problem+json", {}).get("examples", {})
+    documented = problems(document["paths"]["/localize"]["post"])
+    elsewhere = (
+        BundleError,
+        ConfigError,
+        NoiseCalibrationFailed,
+        NoiseProfileInvalid,
+        StreamProtocolError,
+    )
+    expected = {
+        (e.status, e.code) for e in leaves() if not issubclass(e, (*elsewhere, NoiseStoreFull))
     }
-    startup = (BundleError, ConfigError)
-    expected = {(e.status, e.code) for e in leaves() if not issubclass(e, startup)}
     assert documented == expected | {(400, "upload_invalid"), (500, "internal")}
+
+
+def test_every_error_of_storing_noise_is_documented_with_its_status(document: Any) -> None:
+    assert problems(document["paths"]["/noise/{name}"]["put"]) == {
+        (409, "noise_full"),
+        (413, "upload_too_large"),
+        (422, "noise_invalid"),
+        (422, "option_invalid"),
+    }
+
+
+def problems(operation: Any) -> set[tuple[int, str]]:
+    """Statuses and codes that an operation documents."""
+    return {
+        (int(status), code)
+        for status, response in operation["responses"].items()
+        for code in response.get("content", {})
+        .get("application/problem+json", {})
+        .get("examples", {})
+    }
 
 
 def test_codes_are_unique() -> None:
@@ -73,6 +110,7 @@ def test_both_bodies_and_every_option_are_documented(document: Any) -> None:
         "max_sources",
         "window_s",
         "hop_s",
+        "noise",
         "spectrum",
     }
     assert {parameter["name"] for parameter in operation["parameters"]} == options

@@ -88,6 +88,7 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     examples = {"host": "::1", "models": "/m", "default_model": "w", "log_level": "debug"}
+    examples |= {"noise_folder": "/n", "stream_buffer": "2.5", "origins": "http://a,http://b"}
     for name, field in Settings.model_fields.items():
         assert field.description, name
         monkeypatch.setenv(variable(name), examples.get(name, "2048"))
@@ -105,5 +106,12 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
         "max_upload_bytes": 2048,
         "max_seconds": 2048.0,
         "max_channels": 9,
+        "max_sessions": 2048,
+        "max_sessions_per_client": 2048,
+        "stream_buffer": 2.5,
+        "idle_timeout": 2048.0,
+        "max_session": 2048.0,
+        "origins": ("http://a", "http://b"),
+        "noise_folder": Path("/n"),
         "log_level": "debug",
     }

@@ -125,6 +125,8 @@ def test_srp_phat_finds_a_delayed_noise() -> None:
     stft = Stft()
     band = (stft.frequencies > 300) & (stft.frequencies < 3500)
     steering = steering_vectors(positions, stft.frequencies[band], GRID)
-    response = classical.srp_phat(stft.transform(audio.astype(np.float32))[:, band], steering)
+    spectra = stft.transform(audio.astype(np.float32))[:, band]
+    cross = sample_covariance(classical.phase_transform(spectra))
+    response = classical.srp_phat(cross, steering)
     assert np.rad2deg(find_peaks(response, 1)[0].azimuth) == pytest.approx(217.0, abs=0.2)
     assert 0.95 < response.max() <= 1.0 + 1e-5

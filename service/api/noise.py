@@ -1,0 +1,131 @@
+"""``/noise``: profiles of robots' own noises, stored by name."""
+
+from __future__ import annotations
+
+import io
+from datetime import datetime
+from http import HTTPStatus
+from typing import Annotated
+
+import anyio.to_thread
+from fastapi import APIRouter, HTTPException, Path, Request, Response
+
+from service.api.catalog import NOT_FOUND
+from service.api.problems import problem_responses
+from service.api.schemas import Answer
+from service.api.state import state_of
+from service.errors import (
+    InvalidOption,
+    NoiseProfileInvalid,
+    NoiseStoreFull,
+    UnknownNoise,
+    UploadTooLarge,
+)
+from service.inference.noise_profile import MAX_BYTES, load_noise, noise_bytes
+from service.inference.noise_store import NoiseStore, StoredNoise
+
+MEDIA_TYPE = "application/octet-stream"
+BINARY = {"schema": {"type": "string", "format": "binary"}}
+
+router = APIRouter(tags=["noise"])
+
+Name = Annotated[str, Path(description="1 to 64 letters, digits, dots, underscores and hyphens.")]
+
+
+class NoiseAnswer(Answer):
+    """A stored profile of a robot's own noise."""
+
+    name: str
+    """What `noise` of `POST /localize` takes"""
+    array: str
+    """Name of the array that it was learnt with"""
+    positions_m: list[list[float]]
+    """Of that array's microphones, metres"""
+    seconds: float
+    """Audio that it was learnt from"""
+    created: datetime
+    """When it was stored"""
+
+    @classmethod
+    def of(cls, stored: StoredNoise) -> NoiseAnswer:
+        noise = stored.noise
+        return cls(
+            name=stored.name,
+            array=noise.array.name,
+            positions_m=noise.array.positions.tolist(),
+            seconds=round(noise.seconds, 3),
+            created=stored.created,
+        )
+
+
+class NoisesAnswer(Answer):
+    """All stored profiles."""
+
+    noise: list[NoiseAnswer]
+    """In the order of their names"""
+
+
+@router.get("/noise", summary="List the noise profiles")
+async def list_noise(request: Request) -> NoisesAnswer:
+    """The stored profiles of robots' own noises."""
+    stored = await anyio.to_thread.run_sync(_store(request).all)
+    return NoisesAnswer(noise=[NoiseAnswer.of(each) for each in stored])
+
+
+@router.get(
+    "/noise/{name}",
+    summary="Download a noise profile",
+    response_class=Response,
+    responses=NOT_FOUND | {200: {"content": {MEDIA_TYPE: BINARY}}},
+)
+async def get_noise(request: Request, name: Name) -> Response:
+    """The file that `PUT` took, or that `neuralmusic noise` would have written."""
+    stored = await _found(request, name)
+    headers = {"Content-Disposition": f'attachment; filename="{stored.name}.npz"'}
+    return Response(noise_bytes(stored.noise), media_type=MEDIA_TYPE, headers=headers)
+
+
+@router.put(
+    "/noise/{name}",
+    summary="Store a noise profile",
+    responses=problem_responses(InvalidOption, NoiseProfileInvalid, NoiseStoreFull, UploadTooLarge),
+    openapi_extra={"requestBody": {"required": True, "content": {MEDIA_TYPE: BINARY}}},
+)
+async def put_noise(request: Request, name: Name) -> NoiseAnswer:
+    """Store a profile, as `neuralmusic noise` writes it, in place of the one of that name."""
+    body = bytearray()
+    async for chunk in request.stream():
+        body += chunk
+        if len(body) > MAX_BYTES:
+            raise UploadTooLarge(f"a noise profile has at most {MAX_BYTES} bytes")
+
+    def store() -> StoredNoise:
+        return _store(request).put(name, load_noise(io.BytesIO(body)))
+
+    return NoiseAnswer.of(await anyio.to_thread.run_sync(store))
+
+
+@router.delete(
+    "/noise/{name}",
+    summary="Delete a noise profile",
+    status_code=HTTPStatus.NO_CONTENT,
+    responses=NOT_FOUND,
+)
+async def delete_noise(request: Request, name: Name) -> None:
+    """Forget a profile."""
+    try:
+        await anyio.to_thread.run_sync(_store(request).delete, name)
+    except UnknownNoise as error:
+        raise HTTPException(HTTPStatus.NOT_FOUND) from error
+
+
+def _store(request: Request) -> NoiseStore:
+    return state_of(request).noise
+
+
+async def _found(request: Request, name: str) -> StoredNoise:
+    """The profile of this name; a path that names none is 404."""
+    try:
+        return await anyio.to_thread.run_sync(_store(request).get, name)
+    except UnknownNoise as error:
+        raise HTTPException(HTTPStatus.NOT_FOUND) from error

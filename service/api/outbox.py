@@ -1,0 +1,66 @@
+"""Messages on their way to one client: bounded, old results make room for new ones."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+
+from service.protocol.server_messages import Result, ServerMessage
+
+MAX_DROPPABLE = 32
+"""Results that wait for a client that reads slowly: three seconds at 10 Hz"""
+MAX_WAITING = 1024
+"""Messages of any kind; a client that asks faster than it reads loses the oldest"""
+
+
+class Outbox:
+    """A queue of texts between the session and the WebSocket's writer."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[tuple[str, bool]] = deque()
+        self._droppable = 0
+        self._event = asyncio.Event()
+        self._closed = False
+
+    def put(self, text: str, *, droppable: bool) -> int:
+        """Add a message; how many old results were dropped for it."""
+        self._waiting.append((text, droppable))
+        self._droppable += droppable
+        self._event.set()
+        dropped = 0
+        if self._droppable > MAX_DROPPABLE:
+            self._remove_oldest()
+            dropped = 1
+        if len(self._waiting) > MAX_WAITING:
+            self._droppable -= self._waiting.popleft()[1]
+        return dropped
+
+    def close(self) -> None:
+        """Let ``get`` give None after what waits."""
+        self._closed = True
+        self._event.set()
+
+    async def get(self) -> str | None:
+        """The next message; None once closed and empty."""
+        while not self._waiting:
+            if self._closed:
+                return None
+            self._event.clear()
+            await self._event.wait()
+        text, droppable = self._waiting.popleft()
+        self._droppable -= droppable
+        return text
+
+    def _remove_oldest(self) -> None:
+        for index, (_, droppable) in enumerate(self._waiting):
+            if droppable:
+                del self._waiting[index]
+                self._droppable -= 1
+                return
+
+
+def message_json(message: ServerMessage, *, spectrum: bool = True) -> str:
+    """A message as it is sent; a spectrum that is not wanted is absent, not null."""
+    if isinstance(message, Result) and (message.spectrum is None or not spectrum):
+        return message.model_dump_json(exclude={"spectrum"})
+    return message.model_dump_json()

@@ -1,0 +1,155 @@
+"""Noise profiles by the names that clients gave them, in memory and, where wanted, in a folder."""
+
+from __future__ import annotations
+
+import logging
+import re
+import tempfile
+import threading
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from service.doa.whitening import NoiseCovariance
+from service.errors import ConfigError, InvalidOption, NoiseError, NoiseStoreFull, UnknownNoise
+from service.inference.noise_profile import load_noise, save_noise
+
+logger = logging.getLogger(__name__)
+
+NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")
+SUFFIX = ".npz"
+CAPACITY = 256
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredNoise:
+    """A profile with its name."""
+
+    name: str
+    noise: NoiseCovariance
+    created: datetime
+    """When it was stored, UTC"""
+
+
+class NoiseStore:
+    """Profiles by name; safe to use from several threads.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Where profiles outlive the process, each as ``NAME.npz``; read when first needed.
+    capacity : int
+        Most profiles.
+
+    Raises
+    ------
+    ConfigError
+        If the folder is a file.
+    """
+
+    def __init__(self, folder: Path | None = None, capacity: int = CAPACITY) -> None:
+        if folder is not None and folder.exists() and not folder.is_dir():
+            raise ConfigError(f"noise_folder {folder} is no folder: name one for noise profiles")
+        self._folder = folder
+        self._capacity = capacity
+        self._lock = threading.Lock()
+        self._profiles: dict[str, StoredNoise] | None = None
+
+    def all(self) -> list[StoredNoise]:
+        """All profiles in the order of their names."""
+        with self._lock:
+            return [stored for _, stored in sorted(self._loaded().items())]
+
+    def get(self, name: str) -> StoredNoise:
+        """The profile of this name, or UnknownNoise."""
+        with self._lock:
+            return self._found(name)
+
+    def put(self, name: str, noise: NoiseCovariance) -> StoredNoise:
+        """Keep a profile under a name, in place of the one that had it.
+
+        Raises
+        ------
+        InvalidOption
+            If the name is not 1 to 64 letters, digits, dots, underscores and hyphens.
+        NoiseStoreFull
+            If there is no room for another one.
+        OSError
+            If the folder cannot be written.
+        """
+        if not usable_name(name):
+            raise InvalidOption(
+                "a noise profile's name has 1 to 64 letters, digits, dots, underscores and "
+                f"hyphens and begins with none of the last three, but is {name[:64]!r}"
+            )
+        with self._lock:
+            profiles = self._loaded()
+            if name not in profiles and len(profiles) >= self._capacity:
+                raise NoiseStoreFull(
+                    f"{self._capacity} noise profiles are stored, more are not kept: delete one "
+                    "with DELETE /noise/NAME"
+                )
+            if self._folder is not None:
+                _write(self._folder, name, noise)
+            profiles[name] = StoredNoise(name, noise, datetime.now(UTC))
+            return profiles[name]
+
+    def delete(self, name: str) -> None:
+        """Forget a profile, or raise UnknownNoise."""
+        with self._lock:
+            self._found(name)
+            self._loaded().pop(name)
+            if self._folder is not None:
+                (self._folder / f"{name}{SUFFIX}").unlink(missing_ok=True)
+
+    def _found(self, name: str) -> StoredNoise:
+        """The profile of this name, or UnknownNoise; the lock is held."""
+        profiles = self._loaded()
+        if name not in profiles:
+            raise UnknownNoise(
+                f"no noise profile is called {name[:64]!r}: send one with PUT /noise/NAME; there "
+                f"are {', '.join(sorted(profiles)[:20]) or 'none'}"
+            )
+        return profiles[name]
+
+    def _loaded(self) -> dict[str, StoredNoise]:
+        """The profiles, read from the folder the first time; the lock is held."""
+        if self._profiles is None:
+            self._profiles = {} if self._folder is None else _read(self._folder, self._capacity)
+        return self._profiles
+
+
+def usable_name(name: str) -> bool:
+    """Whether a profile may have this name: nothing that leaves the folder or hides in it."""
+    return NAME.fullmatch(name) is not None and name[0] not in "._-"
+
+
+def _read(folder: Path, capacity: int) -> dict[str, StoredNoise]:
+    """The profiles of a folder; files that are none are left where they are."""
+    profiles: dict[str, StoredNoise] = {}
+    paths = sorted(path for path in folder.glob(f"*{SUFFIX}") if usable_name(path.stem))
+    for path in paths:
+        if len(profiles) >= capacity:
+            logger.warning("%s holds more than %d noise profiles: rest left out", folder, capacity)
+            break
+        try:
+            created = datetime.fromtimestamp(path.stat().st_mtime, UTC)
+            profiles[path.stem] = StoredNoise(path.stem, load_noise(path), created)
+        except NoiseError as error:
+            logger.warning("noise profile %s left out: %s", path, error.detail)
+        except OSError as error:
+            logger.warning("noise profile %s left out: %s", path, error)
+    return profiles
+
+
+def _write(folder: Path, name: str, noise: NoiseCovariance) -> None:
+    """Write beside and rename: a reader never sees half a profile."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=folder, prefix=".", suffix=".part", delete=False) as file:
+        path = Path(file.name)
+        try:
+            save_noise(noise, file)  # type: ignore[arg-type]
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
+    path.replace(folder / f"{name}{SUFFIX}")

@@ -1,0 +1,106 @@
+"""What a session counts: audio, results, what was lost, which sources there were."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from service.doa.orientation import Orientation
+from service.protocol.server_messages import TrackSummary
+from service.streaming.pipeline import Estimate
+
+HISTORY = 6000
+"""Results that can be exported: ten minutes at 10 Hz"""
+MAX_TRACKS = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """One source of one result."""
+
+    id: int
+    azimuth_deg: float
+    confidence: float
+    active: bool
+
+
+@dataclass(frozen=True, slots=True)
+class HistoryEntry:
+    """One result as it is kept."""
+
+    t_end: float
+    capture_time_ns: int | None
+    points: tuple[Point, ...]
+
+
+@dataclass(slots=True)
+class _Heard:
+    azimuth_deg: float
+    first: float
+    last: float
+    active: float = 0.0
+
+
+@dataclass(slots=True)
+class Account:
+    """Figures of one session; memory is bounded."""
+
+    audio_s: float = 0.0
+    """Seconds of audio received"""
+    results: int = 0
+    dropped_s: float = 0.0
+    gap_s: float = 0.0
+    results_dropped: int = 0
+    """Results that the client did not read in time"""
+    lag_ms: float = 0.0
+    """Of the last result"""
+    t_end: float = 0.0
+    warnings: Counter[str] = field(default_factory=Counter)
+    history: deque[HistoryEntry] = field(default_factory=lambda: deque(maxlen=HISTORY))
+    _heard: dict[int, _Heard] = field(default_factory=dict)
+    _lags: list[float] = field(default_factory=list)
+
+    def add(self, estimate: Estimate, orientation: Orientation, lag_ms: float) -> None:
+        """Take in one result."""
+        step = estimate.t_end - self.t_end
+        self.results += 1
+        self.lag_ms, self.t_end = lag_ms, estimate.t_end
+        self._lags.append(lag_ms)
+        points = tuple(
+            Point(
+                track.id,
+                round(math.degrees(orientation.on_robot(track.azimuth)), 2) % 360.0,
+                round(track.confidence, 3),
+                track.active,
+            )
+            for track in estimate.tracks
+        )
+        self.history.append(
+            HistoryEntry(round(estimate.t_end, 6), estimate.capture_time_ns, points)
+        )
+        for point in points:
+            heard = self._heard.setdefault(
+                point.id, _Heard(point.azimuth_deg, estimate.t_end, estimate.t_end)
+            )
+            heard.azimuth_deg, heard.last = point.azimuth_deg, estimate.t_end
+            heard.active += step if point.active else 0.0
+        while len(self._heard) > MAX_TRACKS:
+            del self._heard[next(iter(self._heard))]
+
+    def mean_lag_ms(self) -> float:
+        """Mean lag of the results since the last call."""
+        lags, self._lags = self._lags, []
+        return round(sum(lags) / len(lags), 1) if lags else 0.0
+
+    def tracks(self) -> Iterator[TrackSummary]:
+        """The sources, longest heard first."""
+        for track, heard in sorted(self._heard.items(), key=lambda item: -item[1].active):
+            yield TrackSummary(
+                id=track,
+                azimuth_deg=heard.azimuth_deg,
+                first_s=round(heard.first, 3),
+                last_s=round(heard.last, 3),
+                active_s=round(heard.active, 3),
+            )

@@ -1,0 +1,85 @@
+"""From an estimate to what is sent: the product's own result, or ODAS' objects."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from service.doa.orientation import Orientation
+from service.doa.peaks import find_peaks
+from service.doa.tracking import Track
+from service.protocol.client_messages import OutputOptions
+from service.protocol.server_messages import OdasPotential, OdasSource, StreamSource
+from service.streaming.pipeline import Estimate
+
+ODAS_PLACES = 4
+"""Directions and tracks of every ODAS object; empty ones are zero"""
+ODAS_HOP_S = 0.008
+
+
+def result_fields(
+    estimate: Estimate, output: OutputOptions, *, spectrum: bool = False
+) -> dict[str, Any]:
+    """Fields of ``Result`` but for ``seq``, ``lag_ms`` and ``final``."""
+    orientation = Orientation.of_degrees(output.yaw_deg, output.exclude_deg)
+    fields: dict[str, Any] = {
+        "t_start": round(estimate.t_start, 6),
+        "t_end": round(estimate.t_end, 6),
+        "capture_time_ns": estimate.capture_time_ns,
+        "sources": [stream_source(track, orientation) for track in estimate.tracks],
+        "why_no_source": estimate.why_no_source,
+        "spectrum": None,
+    }
+    if spectrum or "spectrum" in output.include:
+        turned = orientation.spectrum_on_robot(estimate.spectrum)
+        fields["spectrum"] = [round(value, 4) for value in turned.tolist()]
+    return fields
+
+
+def stream_source(track: Track, orientation: Orientation) -> StreamSource:
+    """A track as it is sent, in the robot's frame."""
+    azimuth = orientation.on_robot(track.azimuth)
+    return StreamSource.model_construct(
+        id=track.id,
+        azimuth_deg=round(math.degrees(azimuth), 2) % 360.0,
+        unit_vector=[round(math.cos(azimuth), 5), round(math.sin(azimuth), 5), 0.0],
+        confidence=round(track.confidence, 3),
+        active=track.active,
+        velocity_deg_s=round(math.degrees(track.velocity), 2),
+        std_deg=round(math.degrees(math.sqrt(track.variance)), 2),
+    )
+
+
+def odas_time_stamp(estimate: Estimate) -> int:
+    """ODAS' count of hops."""
+    return round(estimate.t_end / ODAS_HOP_S)
+
+
+def odas_potentials(estimate: Estimate, output: OutputOptions) -> list[OdasPotential]:
+    """ODAS' SSL: the spectrum's four highest peaks."""
+    orientation = Orientation.of_degrees(output.yaw_deg, output.exclude_deg)
+    peaks = [p for p in find_peaks(estimate.spectrum, 8) if not orientation.excludes(p.azimuth)]
+    places = [(orientation.on_robot(p.azimuth), p.height) for p in peaks[:ODAS_PLACES]]
+    filled = [OdasPotential(**_direction(a), E=round(float(h), 3)) for a, h in places]
+    empty = OdasPotential(x=0.0, y=0.0, z=0.0, E=0.0)
+    return filled + [empty] * (ODAS_PLACES - len(filled))
+
+
+def odas_sources(estimate: Estimate, output: OutputOptions) -> list[OdasSource]:
+    """ODAS' SST: the tracks."""
+    orientation = Orientation.of_degrees(output.yaw_deg, output.exclude_deg)
+    filled = [
+        OdasSource(
+            id=track.id,
+            tag="dynamic",
+            **_direction(orientation.on_robot(track.azimuth)),
+            activity=round(track.confidence if track.active else 0.0, 3),
+        )
+        for track in estimate.tracks[:ODAS_PLACES]
+    ]
+    empty = OdasSource(id=0, tag="", x=0.0, y=0.0, z=0.0, activity=0.0)
+    return filled + [empty] * (ODAS_PLACES - len(filled))
+
+
+def _direction(azimuth: float) -> dict[str, float]:
+    return {"x": round(math.cos(azimuth), 3), "y": round(math.sin(azimuth), 3), "z": 0.0}

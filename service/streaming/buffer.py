@@ -1,0 +1,77 @@
+"""The bounded buffer between the network and the localizer."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Consecutive sample frames as they came."""
+
+    position: int
+    """Sample frames from the session's start to the piece's first, dropped and missing included"""
+    data: bytes
+    """Interleaved"""
+    arrived: float
+    """Seconds, when its last byte came"""
+    capture_time_ns: int | None = None
+    """Of its first sample frame"""
+
+
+class AudioBuffer:
+    """Audio that waits: taken from the front by any number of sample frames, dropped there too.
+
+    Parameters
+    ----------
+    frame_bytes : int
+        Bytes of one sample frame, all channels.
+    sample_rate : int
+        Hertz.
+    """
+
+    def __init__(self, frame_bytes: int, sample_rate: int) -> None:
+        self._frame_bytes = frame_bytes
+        self._sample_rate = sample_rate
+        self._pieces: deque[Piece] = deque()
+        self.frames = 0
+        """Sample frames that wait"""
+
+    def append(self, piece: Piece) -> None:
+        """Add whole sample frames at the end."""
+        if piece.data:
+            self._pieces.append(piece)
+            self.frames += len(piece.data) // self._frame_bytes
+
+    def take(self, frames: int) -> list[Piece]:
+        """Remove the oldest ``frames`` sample frames, or all where fewer wait."""
+        taken: list[Piece] = []
+        while frames > 0 and self._pieces:
+            piece = self._pieces.popleft()
+            held = len(piece.data) // self._frame_bytes
+            if held > frames:
+                self._pieces.appendleft(self._rest(piece, frames))
+                data = piece.data[: frames * self._frame_bytes]
+                piece, held = (
+                    Piece(piece.position, data, piece.arrived, piece.capture_time_ns),
+                    frames,
+                )
+            taken.append(piece)
+            frames -= held
+            self.frames -= held
+        return taken
+
+    def keep(self, frames: int) -> int:
+        """Drop the oldest audio until ``frames`` sample frames are left; how many were dropped."""
+        dropped = max(0, self.frames - frames)
+        self.take(dropped)
+        return dropped
+
+    def _rest(self, piece: Piece, frames: int) -> Piece:
+        """``piece`` without its first ``frames`` sample frames."""
+        captured = piece.capture_time_ns
+        if captured is not None:
+            captured += frames * 1_000_000_000 // self._sample_rate
+        data = piece.data[frames * self._frame_bytes :]
+        return Piece(piece.position + frames, data, piece.arrived, captured)

@@ -1,0 +1,110 @@
+"""Binary messages into the buffer: whole sample frames, sequence numbers, the bound."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from service.errors import InvalidMessage, MessageTooBig
+from service.protocol import MAX_MESSAGE_BYTES
+from service.protocol.client_messages import AudioFormat
+from service.protocol.framing import HEADER, SAMPLE_BYTES, SEQUENCE_MODULUS, FrameHeader
+from service.streaming.buffer import AudioBuffer, Piece
+from service.streaming.pcm import container_of
+
+LONGEST_GAP = 3600.0
+"""Seconds; a longer one by the capture times is a clock that was set"""
+NANOSECONDS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Messages that never came, by the sequence numbers."""
+
+    messages: int
+    frames: int
+    """Sample frames by the capture times; 0 where they do not tell"""
+
+
+class Intake:
+    """The way of one stream's binary messages into its buffer."""
+
+    def __init__(self, audio: AudioFormat) -> None:
+        self._audio = audio
+        self._frame_bytes = SAMPLE_BYTES[audio.encoding] * audio.channels
+        self._header: FrameHeader | None = None
+        self._first = True
+        self.buffer = AudioBuffer(self._frame_bytes, audio.sample_rate)
+        self.position = 0
+        """Sample frames up to the end of what came, missing ones included"""
+        self.received = 0
+        """Sample frames that came"""
+        self._expected_ns = 0
+
+    @property
+    def removed(self) -> int:
+        """Sample frames that were taken or dropped."""
+        return self.received - self.buffer.frames
+
+    def receive(self, message: bytes, now: float) -> Gap | None:
+        """Buffer one message's audio; a gap before it, if there is one.
+
+        Raises
+        ------
+        InvalidMessage, MessageTooBig
+            If it is no whole number of sample frames, a file's header, or too long.
+        """
+        if len(message) > MAX_MESSAGE_BYTES:
+            raise MessageTooBig(
+                f"a binary message has {len(message)} bytes, at most {MAX_MESSAGE_BYTES} are "
+                "taken: send smaller pieces more often"
+            )
+        gap, captured = None, None
+        audio = message
+        if self._audio.header == "seq_time":
+            gap, captured = self._unpack(message)
+            audio = message[HEADER.size :]
+        self._check(audio)
+        frames = len(audio) // self._frame_bytes
+        if gap is not None:
+            self.position += gap.frames
+        if captured is not None:
+            self._expected_ns = captured + frames * NANOSECONDS // self._audio.sample_rate
+        self.buffer.append(Piece(self.position, audio, now, captured))
+        self.position += frames
+        self.received += frames
+        return gap
+
+    def _check(self, audio: bytes) -> None:
+        if self._first and audio:
+            self._first = False
+            container = container_of(audio)
+            if container:
+                raise InvalidMessage(
+                    f"the first audio begins with the header of a {container} file: send the raw "
+                    "samples behind the header, or send the file to POST /localize"
+                )
+        if len(audio) % self._frame_bytes:
+            raise InvalidMessage(
+                f"a binary message holds {len(audio)} bytes of audio, which is no whole number of "
+                f"sample frames of {self._frame_bytes} bytes ({self._audio.channels} channels of "
+                f"{self._audio.encoding}): check channels and encoding, never split a sample frame"
+            )
+
+    def _unpack(self, message: bytes) -> tuple[Gap | None, int]:
+        if len(message) < HEADER.size:
+            raise InvalidMessage(
+                f"a binary message has {len(message)} bytes, but with header seq_time each begins "
+                f"with {HEADER.size}: u32 flags, u32 sequence, i64 capture time in ns"
+            )
+        header, before = FrameHeader.unpack(message), self._header
+        self._header = header
+        if before is None:
+            return None, header.capture_time_ns
+        missed = (header.sequence - before.sequence - 1) % SEQUENCE_MODULUS
+        if missed == 0:
+            return None, header.capture_time_ns
+        if missed >= SEQUENCE_MODULUS // 2:  # counted from anew: what is missing cannot be told
+            return Gap(0, 0), header.capture_time_ns
+        seconds = (header.capture_time_ns - self._expected_ns) / NANOSECONDS
+        frames = round(seconds * self._audio.sample_rate) if 0 < seconds <= LONGEST_GAP else 0
+        return Gap(missed, frames), header.capture_time_ns

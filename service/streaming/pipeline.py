@@ -1,0 +1,267 @@
+"""What a stream computes: pieces of PCM in, estimates of now out. Runs in a worker thread."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import soxr
+
+from service.doa.array import MicrophoneArray
+from service.doa.orientation import Orientation
+from service.doa.stft import Stft, StreamingStft
+from service.doa.tracking import Detection, Track, Tracker
+from service.doa.types import ComplexArray, FloatArray
+from service.doa.whitening import NoiseCovariance, NoiseEstimator
+from service.errors import NoiseCalibrationFailed
+from service.inference.bundle import Bundle
+from service.inference.results import SILENCE, Method, Source, WindowEstimate
+from service.inference.stream import stream_localizer_of
+from service.protocol.client_messages import AudioFormat, OutputOptions
+from service.protocol.server_messages import WhyNoSource
+from service.streaming.buffer import Piece
+from service.streaming.pcm import decode_pcm
+
+RESAMPLING = "MQ"
+"""soxr's; 6 ms of delay where its HQ takes 33 ms"""
+LONG_GAP = 0.25
+"""Seconds without audio after which the window begins anew; what is missing less is closed over"""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamPlan:
+    """What a stream is localized with."""
+
+    audio: AudioFormat
+    array: MicrophoneArray
+    channel_map: tuple[int, ...]
+    method: Method
+    bundle: Bundle | None
+    stft: Stft
+    noise: NoiseCovariance | None = None
+    """Of the robot itself, whitened away"""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Where the sounds come from at one moment of the stream; azimuths in the array's frame."""
+
+    t_start: float
+    """Seconds of stream time"""
+    t_end: float
+    """Seconds of stream time"""
+    capture_time_ns: int | None
+    tracks: tuple[Track, ...]
+    """Most confident first"""
+    sources: tuple[Source, ...]
+    """The window's own, before tracking"""
+    spectrum: FloatArray
+    """(A,)"""
+    why_no_source: WhyNoSource | None
+    arrived: float
+    """When the last of its audio came, by the session's clock"""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What one step gave."""
+
+    estimate: Estimate | None
+    """None where none was due"""
+    calibrated: NoiseCovariance | None = None
+    """The noise, in the step that completed its calibration"""
+    calibration_error: NoiseCalibrationFailed | None = None
+
+
+class StreamPipeline:
+    """One stream's resampler, STFT, localizer and tracker."""
+
+    def __init__(self, plan: StreamPlan) -> None:
+        self._plan = plan
+        self._rate = plan.stft.sample_rate
+        self._ratio = plan.audio.sample_rate / self._rate
+        """Sample frames of the stream per sample of the analysis"""
+        self._tracker = Tracker()
+        self._noise = plan.noise
+        self._calibration: _Calibration | None = None
+        self._position = 0
+        """Sample frames of the stream up to where it was taken in, missing ones included"""
+        self._offset = 0.0
+        """Samples of stream time that are missing before what was taken in"""
+        self._arrived = 0.0
+        self._captured: tuple[int, int] | None = None
+        """A position and its capture time"""
+        self._reported = -1.0
+        """Stream time of the last estimate in samples"""
+        self._begin()
+
+    def _begin(self) -> None:
+        """Forget all audio, keep the tracks and the time."""
+        plan = self._plan
+        microphones = plan.array.num_microphones
+        self._localizer = stream_localizer_of(
+            plan.method, plan.bundle, plan.array, plan.stft, self._noise
+        )
+        self._resampler = None
+        if plan.audio.sample_rate != self._rate:
+            self._resampler = soxr.ResampleStream(
+                plan.audio.sample_rate, self._rate, microphones, "float32", RESAMPLING
+            )
+        self._stft = StreamingStft(plan.stft, microphones)
+        self._samples = 0
+        """Taken in since here"""
+        self._frames = 0
+        self._fresh: list[ComplexArray] = []
+        """Spectra since the last estimate"""
+        self._energies: deque[tuple[int, float]] = deque()
+        """Samples and summed squares of the latest audio, a window of it"""
+
+    def _begin_anew(self) -> None:
+        self._offset = self.stream_samples
+        self._begin()
+
+    @property
+    def stream_samples(self) -> float:
+        """Stream time up to which the analysis has audio, in samples at its rate."""
+        return self._offset + self._samples
+
+    @property
+    def window_s(self) -> float:
+        """Seconds that an estimate looks back on at most."""
+        stft = self._plan.stft
+        return stft.num_samples(self._localizer.window_frames) / self._rate
+
+    def frames_needed(self, interval_ms: int) -> int:
+        """Sample frames of the stream until the next estimate is due."""
+        missing = self._due(interval_ms) - self.stream_samples
+        return max(1, math.ceil(missing * self._ratio))
+
+    def step(self, pieces: Sequence[Piece], output: OutputOptions, *, final: bool = False) -> Step:
+        """Take in audio; an estimate where one is due, or of what is there where ``final``.
+
+        Parameters
+        ----------
+        pieces : sequence of Piece
+            In order, no more than ``frames_needed`` says.
+        """
+        due = self._due(output.interval_ms)
+        for piece in pieces:
+            self._take(piece)
+        wanted = self.stream_samples >= due or (final and self.stream_samples > self._reported)
+        estimate = self._estimate(output) if wanted else None
+        if self._calibration is None or not self._calibration.complete:
+            return Step(estimate)
+        estimator, self._calibration = self._calibration.estimator, None
+        try:
+            self._noise = estimator.finish()
+        except NoiseCalibrationFailed as error:
+            return Step(estimate, calibration_error=error)
+        self._begin_anew()
+        return Step(estimate, self._noise)
+
+    def calibrate(self, seconds: float) -> None:
+        """Learn the noise from the next ``seconds`` of audio; not while a step runs."""
+        plan = self._plan
+        self._calibration = _Calibration(NoiseEstimator(plan.array, plan.stft), seconds)
+
+    def _due(self, interval_ms: int) -> float:
+        """Stream time of the next estimate in samples: multiples of the interval."""
+        interval = interval_ms * self._rate / 1000
+        return (math.floor(max(self._reported, 0.0) / interval + 1e-9) + 1) * interval
+
+    def _take(self, piece: Piece) -> None:
+        audio = self._plan.audio
+        if piece.position > self._position:
+            self._skip(piece.position - self._position)
+        samples = decode_pcm(piece.data, audio.encoding, audio.channels, self._plan.channel_map)
+        if piece.capture_time_ns is not None:
+            self._captured = (piece.position, piece.capture_time_ns)
+        self._position = piece.position + samples.shape[1]
+        self._arrived = piece.arrived
+        self._analyse(np.nan_to_num(samples, copy=False))
+
+    def _skip(self, frames: int) -> None:
+        """Audio is missing: time goes on without it."""
+        missing = frames / self._ratio
+        if missing > LONG_GAP * self._rate:
+            self._begin_anew()
+        self._offset += missing
+
+    def _analyse(self, samples: FloatArray) -> None:
+        if self._resampler is not None:
+            resampled = self._resampler.resample_chunk(np.ascontiguousarray(samples.T))
+            samples = resampled.T
+        self._samples += samples.shape[1]
+        self._energies.append((samples.shape[1], float(np.vdot(samples, samples))))
+        spectra = self._stft.push(samples)
+        if spectra.shape[-1]:
+            self._fresh.append(spectra)
+            if self._calibration is not None:
+                self._calibration.estimator.add(spectra)
+
+    def _estimate(self, output: OutputOptions) -> Estimate:
+        estimate, why = self._localize(output)
+        orientation = Orientation.of_degrees(output.yaw_deg, output.exclude_deg)
+        heard = [s for s in estimate.sources if not orientation.excludes(s.azimuth)]
+        if estimate.sources and not heard:
+            why = "excluded"
+        end = self.stream_samples
+        self._reported = end
+        t_end = end / self._rate
+        found = [Detection(source.azimuth, source.confidence) for source in heard]
+        tracks = sorted(self._tracker.update(found, t_end), key=lambda track: -track.confidence)
+        return Estimate(
+            t_start=max(0.0, t_end - self.window_s),
+            t_end=t_end,
+            capture_time_ns=self._capture_time(end),
+            tracks=tuple(tracks[: output.max_sources]),
+            sources=tuple(heard),
+            spectrum=estimate.spectrum,
+            why_no_source=None if tracks else why,
+            arrived=self._arrived,
+        )
+
+    def _localize(self, output: OutputOptions) -> tuple[WindowEstimate, WhyNoSource]:
+        """The latest window's estimate; why there would be no source."""
+        if self._fresh:
+            spectra = np.concatenate(self._fresh, axis=-1)
+            self._frames += spectra.shape[-1]
+            self._fresh.clear()
+            self._localizer.push(spectra)
+        if self._frames == 0:
+            return _NOTHING, "warming_up"
+        if self._power() < SILENCE:
+            return _NOTHING, "silence"
+        most = min(output.max_sources, self._plan.array.num_microphones - 1)
+        estimate = self._localizer.estimate(output.num_sources, most)
+        return estimate, "unconfirmed" if estimate.sources else "no_direction"
+
+    def _power(self) -> float:
+        """Mean square of the latest window of audio."""
+        samples = sum(count for count, _ in self._energies)
+        while samples - self._energies[0][0] > self.window_s * self._rate:
+            samples -= self._energies.popleft()[0]
+        total = sum(energy for _, energy in self._energies)
+        return total / (max(samples, 1) * self._plan.array.num_microphones)
+
+    def _capture_time(self, end: float) -> int | None:
+        if self._captured is None:
+            return None
+        position, captured = self._captured
+        return captured + round((end * self._ratio - position) * 1e9 / self._plan.audio.sample_rate)
+
+
+@dataclass(frozen=True, slots=True)
+class _Calibration:
+    estimator: NoiseEstimator
+    seconds: float
+
+    @property
+    def complete(self) -> bool:
+        return self.estimator.seconds >= self.seconds
+
+
+_NOTHING = WindowEstimate((), np.zeros(360, dtype=np.float32))

@@ -1,0 +1,132 @@
+"""The running sessions of a process and those that ended a while ago, for whoever watches."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+from service.errors import Overloaded
+from service.protocol.server_messages import Ready, ServerMessage
+from service.streaming.reporter import Reporter
+from service.streaming.session import Session
+
+KEPT = 16
+"""Ended sessions whose results can still be exported"""
+
+Watcher = Callable[[ServerMessage], None]
+
+
+@dataclass(slots=True, eq=False)
+class SessionEntry:
+    """One session as others see it."""
+
+    id: str
+    started_at: datetime
+    session: Session | None
+    """None once it ended"""
+    reporter: Reporter
+    pump: Callable[[], None]
+    """Lets the session's owner act on what was done to it"""
+    ready: Ready | None = None
+    watchers: list[Watcher] = field(default_factory=list)
+    _client: str | None = None
+
+    @property
+    def client(self) -> str | None:
+        """The name that the client gave itself."""
+        if self.session is None or self.session.start is None:
+            return self._client
+        return self.session.start.client
+
+    def release(self) -> None:
+        """Let go of a session that ended."""
+        self._client = self.client
+        self.session = None
+
+    def watch(self, watcher: Watcher) -> None:
+        """Give every further message to ``watcher``; results then have their spectrum."""
+        self.watchers.append(watcher)
+        self.reporter.watched = True
+
+    def unwatch(self, watcher: Watcher) -> None:
+        """Stop that."""
+        self.watchers.remove(watcher)
+        self.reporter.watched = bool(self.watchers)
+
+    def observe(self, message: ServerMessage) -> None:
+        """Take a message of the session."""
+        if isinstance(message, Ready):
+            self.ready = message
+        for watcher in tuple(self.watchers):
+            watcher(message)
+
+
+class SessionRegistry:
+    """At most ``max_sessions`` run at a time."""
+
+    def __init__(self, max_sessions: int) -> None:
+        self.max_sessions = max_sessions
+        self._running: dict[str, SessionEntry] = {}
+        self._ended: deque[SessionEntry] = deque(maxlen=KEPT)
+        self.draining = False
+        self.empty = asyncio.Event()
+        """Set while no session runs"""
+        self.empty.set()
+
+    def __iter__(self) -> Iterator[SessionEntry]:
+        """Running sessions, then those that ended, newest first."""
+        yield from self._running.values()
+        yield from reversed(self._ended)
+
+    @property
+    def running(self) -> int:
+        """How many run."""
+        return len(self._running)
+
+    def drain(self) -> None:
+        """Take no more sessions and end all in order."""
+        self.draining = True
+        for entry in tuple(self._running.values()):
+            if entry.session is not None:
+                entry.session.drain()
+                entry.pump()
+
+    def check(self) -> None:
+        """Raise Overloaded where one more session would be refused."""
+        if len(self._running) >= self.max_sessions:
+            raise Overloaded(
+                f"{len(self._running)} streams are running, as many as may: try again later, or "
+                "raise NEURALMUSIC_MAX_SESSIONS"
+            )
+
+    def new_id(self) -> str:
+        """An id that nobody guesses: whoever knows it can watch the session."""
+        return secrets.token_urlsafe(9)
+
+    def add(self, session: Session, reporter: Reporter, pump: Callable[[], None]) -> SessionEntry:
+        """Enter a session."""
+        entry = SessionEntry(session.id, datetime.now(UTC), session, reporter, pump)
+        self._running[session.id] = entry
+        self.empty.clear()
+        return entry
+
+    def end(self, entry: SessionEntry) -> None:
+        """Take a session out; its results stay for a while, if it had any."""
+        entry.release()
+        del self._running[entry.id]
+        if not self._running:
+            self.empty.set()
+        if entry.reporter.account.results:
+            self._ended.append(entry)
+
+    def entries(self) -> tuple[SessionEntry, ...]:
+        """The running sessions; safe to call from any thread."""
+        return tuple(self._running.values())
+
+    def get(self, session_id: str) -> SessionEntry | None:
+        """The session of this id, running or ended."""
+        return next((entry for entry in self if entry.id == session_id), None)

@@ -1,0 +1,202 @@
+"""What a session tells its client: every message is numbered, counted and handed on here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from service.doa.orientation import Orientation
+from service.errors import DoaError
+from service.protocol import MAX_MESSAGE_BYTES
+from service.protocol.client_messages import OutputOptions
+from service.protocol.close_codes import CloseCode
+from service.protocol.server_messages import (
+    Closing,
+    Limits,
+    OdasSsl,
+    OdasSst,
+    Ready,
+    Result,
+    ServerMessage,
+    Stats,
+    StreamError,
+    StreamWarning,
+    Summary,
+    WarningCode,
+)
+from service.streaming.account import Account
+from service.streaming.answers import odas_potentials, odas_sources, odas_time_stamp, result_fields
+from service.streaming.intake import Gap
+from service.streaming.opening import CONVENTION, OpenedStream
+from service.streaming.pipeline import Estimate
+
+STATS_S = 5.0
+"""Seconds of audio between ``stats``"""
+WARNING_S = 1.0
+"""Seconds at least between two warnings of dropped audio"""
+
+
+@dataclass(frozen=True, slots=True)
+class SessionLimits:
+    """What the settings allow a session."""
+
+    buffer_s: float = 0.5
+    """Seconds of audio beyond one interval that may wait"""
+    idle_timeout_s: float = 30.0
+    """Seconds without any message"""
+    max_session_s: float = 86_400.0
+    """Seconds"""
+
+
+class Reporter:
+    """Numbers a session's messages and keeps its account."""
+
+    def __init__(self, on_message: Callable[[ServerMessage], None]) -> None:
+        self.account = Account()
+        self.watched = False
+        """Somebody watches the session: every result gets its spectrum"""
+        self._on_message = on_message
+        self._sequence = 0
+        self._warned = -WARNING_S
+        self._unreported = 0.0
+        """Seconds of audio dropped since the last warning"""
+        self._stats_due = STATS_S
+
+    def emit(self, message: type[ServerMessage], **fields: Any) -> None:
+        """Send one message."""
+        # Not validated: the fields come from this package and results are many.
+        self._on_message(message.model_construct(seq=self._sequence, **fields))
+        self._sequence += 1
+
+    def ready(
+        self, session: str, opened: OpenedStream, output: OutputOptions, limits: SessionLimits
+    ) -> None:
+        """Say what is in effect."""
+        buffer_ms = round(1000 * limits.buffer_s) + output.interval_ms
+        self.emit(
+            Ready,
+            session=session,
+            model=opened.model,
+            method=opened.plan.method,
+            array=opened.array,
+            channel_map=list(opened.plan.channel_map),
+            convention=CONVENTION,
+            timing=opened.timing(output.interval_ms),
+            limits=Limits(
+                max_message_bytes=MAX_MESSAGE_BYTES,
+                buffer_ms=buffer_ms,
+                idle_timeout_s=limits.idle_timeout_s,
+                max_session_s=limits.max_session_s,
+            ),
+            noise=opened.noise,
+        )
+        for warning in opened.warnings:
+            self.warn(warning.code, warning.detail)
+
+    def result(self, estimate: Estimate, output: OutputOptions, now: float, *, final: bool) -> None:
+        """Send one result in the format that was asked for."""
+        lag_ms = round(1000 * max(0.0, now - estimate.arrived), 1)
+        orientation = Orientation.of_degrees(output.yaw_deg, output.exclude_deg)
+        self.account.add(estimate, orientation, lag_ms)
+        if output.format == "odas":
+            stamp = odas_time_stamp(estimate)
+            self.emit(OdasSsl, timeStamp=stamp, src=odas_potentials(estimate, output))
+            self.emit(OdasSst, timeStamp=stamp, src=odas_sources(estimate, output))
+        else:
+            fields = result_fields(estimate, output, spectrum=self.watched)
+            self.emit(Result, **fields, lag_ms=lag_ms, final=final)
+
+    def received(self, seconds: float, buffered_s: float) -> None:
+        """Count audio that came; ``stats`` when they are due."""
+        self.account.audio_s += seconds
+        if self.account.audio_s < self._stats_due:
+            return
+        self._stats_due = self.account.audio_s + STATS_S
+        account = self.account
+        self.emit(
+            Stats,
+            audio_s=round(account.audio_s, 3),
+            results=account.results,
+            dropped_s=round(account.dropped_s, 3),
+            gap_s=round(account.gap_s, 3),
+            results_dropped=account.results_dropped,
+            lag_ms=account.mean_lag_ms(),
+            buffered_ms=round(1000 * buffered_s, 1),
+        )
+
+    def dropped(self, seconds: float, now: float) -> None:
+        """Count audio that was dropped and say so, at most once a second."""
+        self.account.dropped_s += seconds
+        self._unreported += seconds
+        if self._unreported == 0 or now - self._warned < WARNING_S:
+            return
+        duration, self._unreported, self._warned = self._unreported, 0.0, now
+        self.warn(
+            "audio_dropped",
+            f"{1000 * duration:.0f} ms of audio were dropped to stay with the present: the "
+            "service has too much to do, or the audio came in a burst; for files take "
+            "overflow block",
+            duration_ms=round(1000 * duration, 1),
+        )
+
+    def gap(self, gap: Gap, sample_rate: int) -> None:
+        """Say that messages are missing."""
+        seconds = gap.frames / sample_rate
+        self.account.gap_s += seconds
+        if gap.messages == 0:
+            detail = "the sequence numbers began anew: how much audio is missing cannot be told"
+        elif gap.frames:
+            detail = (
+                f"{gap.messages} messages with {1000 * seconds:.0f} ms of audio are missing: the "
+                "sender or the network lost them"
+            )
+        else:
+            detail = f"{gap.messages} messages are missing, by the capture times without any time"
+        self.warn("audio_gap", detail, duration_ms=round(1000 * seconds, 1))
+
+    def warn(
+        self,
+        code: WarningCode | str,
+        detail: str,
+        *,
+        channels: Sequence[int] = (),
+        duration_ms: float | None = None,
+    ) -> None:
+        """Send and count one warning."""
+        self.account.warnings[code] += 1
+        self.emit(
+            StreamWarning,
+            code=code,
+            detail=detail,
+            channels=tuple(channels),
+            duration_ms=duration_ms,
+        )
+
+    def summary(self) -> None:
+        """Send the account."""
+        account = self.account
+        self.emit(
+            Summary,
+            audio_s=round(account.audio_s, 3),
+            results=account.results,
+            dropped_s=round(account.dropped_s, 3),
+            gap_s=round(account.gap_s, 3),
+            sources=list(account.tracks()),
+            warnings=dict(account.warnings),
+        )
+
+    def error(self, error: DoaError) -> None:
+        """Say why the session ends."""
+        self.emit(
+            StreamError,
+            code=error.code,
+            title=error.title,
+            detail=error.detail,
+            retryable=error.retryable,
+            close_code=error.close_code,
+        )
+
+    def closing(self, code: str, detail: str, close_code: CloseCode) -> None:
+        """Say that the session ends in order."""
+        self.emit(Closing, code=code, detail=detail, close_code=int(close_code))
