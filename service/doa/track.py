@@ -122,10 +122,12 @@ class Hypothesis:
 
     @classmethod
     def of(cls, parameters: TrackerParameters, detection: Detection, time: float) -> Hypothesis:
-        """A track that begins with a detection."""
+        """A track that begins with a detection, ``time`` seconds into the stream."""
         azimuth = wrapped(detection.azimuth)
         state = AzimuthFilter(azimuth, 0.0, 0.0, 0.0, parameters.spread**2)
-        evidence = min(log_odds(detection.confidence), parameters.most_evidence)
+        # At a stream's begin a detection rests on less audio, and noise's own onset is in it.
+        news = min(1.0, max(time, 0.0) / parameters.correlation_s)
+        evidence = min(news * log_odds(detection.confidence), parameters.most_evidence)
         new = cls(parameters, state, evidence, time, time, time)
         state.azimuth_variance = new.error(detection.confidence)
         return new
