@@ -20,7 +20,7 @@ from service.doa.types import FloatArray
 LEAD_S = 0.7
 """Seconds of noise alone before anybody talks"""
 SNR_DB = 20.0
-NOISE_S = 20.0
+NOISE_S = 60.0
 
 Paths = Callable[[np.random.Generator], tuple[Arc, ...]]
 
@@ -111,5 +111,5 @@ def noise_streams(seed: int) -> dict[str, FloatArray]:
     for noise in NOISES:
         file = noise_file(replace(noise, seconds=NOISE_S), preset(ARRAY), seed)
         samples, _ = soundfile.read(file, dtype="float32")
-        streams[noise.name.replace("60 s of ", "")] = samples.T
+        streams[noise.name.removeprefix("60 s of ")] = samples.T
     return streams

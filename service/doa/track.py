@@ -63,9 +63,9 @@ class TrackerParameters:
     """Seconds of new audio that make a detection's error a new one: half a window of 0.5 s"""
     spread: float = math.radians(25.0)
     """Radians per second, standard deviation of talkers' velocities: a walk past at 2 m"""
-    damping_s: float = 3.0
+    damping_s: float = 4.0
     """Seconds in which a talker forgets its velocity: people stop and turn"""
-    coasting_damping_s: float = 0.8
+    coasting_damping_s: float = 1.0
     """Seconds, the same in a pause: nothing says that the walk goes on"""
     fastest: float = math.radians(120.0)
     """Radians per second: 1 m/s at half a metre"""
@@ -84,10 +84,8 @@ class TrackerParameters:
     """Radians: what is closer may be one talker; the localizer tells hardly any closer apart"""
     crowding: float = 16.0
     """How much larger the error variance is while two tracks pass each other"""
-    hit_gain: float = 0.5
-    """Nats that a detection in the gate is worth besides its confidence's log-odds"""
-    miss_rate: float = 4.0
-    """Nats per second that silence takes: a sure track lives on for 1.7 s, a new one for 0.6 s"""
+    miss_rate: float = 3.0
+    """Nats per second that silence takes: a sure track lives on for 2.3 s, a new one for 1.5 s"""
     shadow_rate: float = 1.0
     """Nats per second, the same while two tracks pass each other: one may hide the other"""
     passing: float = math.radians(10.0)
@@ -95,8 +93,8 @@ class TrackerParameters:
     that they will part"""
     most_evidence: float = 4.6
     """Nats, bound on the existence, 99 %: an hour of speech must not outlive minutes of silence"""
-    confirmation: float = 2.0
-    """Nats, 88 %, from which a track is reported"""
+    confirmation: float = 2.2
+    """Nats, 90 %, from which a track is reported: less, and a fan across a room becomes one"""
     death: float = -2.2
     """Nats, 10 %, at which a track ends"""
     hold_s: float = 0.35
@@ -124,10 +122,12 @@ class Hypothesis:
 
     @classmethod
     def of(cls, parameters: TrackerParameters, detection: Detection, time: float) -> Hypothesis:
-        """A track that begins with a detection."""
+        """A track that begins with a detection, ``time`` seconds into the stream."""
         azimuth = wrapped(detection.azimuth)
         state = AzimuthFilter(azimuth, 0.0, 0.0, 0.0, parameters.spread**2)
-        evidence = min(log_odds(detection.confidence), parameters.most_evidence)
+        # At a stream's begin a detection rests on less audio, and noise's own onset is in it.
+        news = min(1.0, max(time, 0.0) / parameters.correlation_s)
+        evidence = min(news * log_odds(detection.confidence), parameters.most_evidence)
         new = cls(parameters, state, evidence, time, time, time)
         state.azimuth_variance = new.error(detection.confidence)
         return new
@@ -157,8 +157,8 @@ class Hypothesis:
         # apart again their velocities know better than detections.
         variance *= p.crowding if passing else 1
         self.filter.correct(detection.azimuth, variance, p.fastest)
-        gain = p.hit_gain + log_odds(detection.confidence)
-        self.evidence = min(self.evidence + news * gain, p.most_evidence)
+        evidence = self.evidence + news * log_odds(detection.confidence)
+        self.evidence = min(evidence, p.most_evidence)
         self.last_heard = self.last_active = time
 
     def miss(self, duration: float, time: float, *, passing: bool) -> None:

@@ -50,7 +50,7 @@ class Tracker:
         detections : sequence of Detection
             In any order; none where nothing sounds.
         time : float
-            Stream time in seconds; after a gap the tracks are predicted further.
+            Seconds since the stream began; after a gap the tracks are predicted further.
 
         Returns
         -------
@@ -123,6 +123,13 @@ class Tracker:
         off = circular_difference(one.filter.azimuth, other.filter.azimuth)
         return abs(off) < self._parameters.separation
 
+    def _in_wake(self, one: Hypothesis, other: Hypothesis) -> bool:
+        """Whether two may be one talker, heard where it is and where it was some syllables ago."""
+        p = self._parameters
+        off = circular_difference(one.filter.azimuth, other.filter.azimuth)
+        fastest = max(abs(one.filter.velocity), abs(other.filter.velocity))
+        return abs(off) < p.separation + p.lag_s * fastest
+
     def _part(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether their velocities take two tracks through or from each other."""
         return abs(one.filter.velocity - other.filter.velocity) > self._parameters.passing
@@ -145,7 +152,7 @@ class Tracker:
         for place, older in enumerate(confirmed):
             for younger in confirmed[place + 1 :]:
                 silent = time - min(older.last_heard, younger.last_heard)
-                if silent < p.merge_s or not self._near(older, younger):
+                if silent < p.merge_s or not self._in_wake(older, younger):
                     continue
                 if self._part(older, younger) or younger.evidence == -math.inf:
                     continue
@@ -161,7 +168,7 @@ class Tracker:
         p = self._parameters
         for detection in detections:
             new = Hypothesis.of(p, detection, time)
-            if any(self._near(h, new) for h in self._hypotheses) or new.evidence <= p.death:
+            if any(self._in_wake(h, new) for h in self._hypotheses) or new.evidence <= p.death:
                 continue
             if len(self._hypotheses) == p.most_tracks:
                 weakest = min(self._hypotheses, key=lambda h: (h.id is not None, h.evidence))
