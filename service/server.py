@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 import uvicorn
+from fastapi import FastAPI
 
 from service.api.state import ServiceState
 from service.app import create_app
@@ -61,7 +62,12 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
         If the bundles cannot be loaded: nothing listens then.
     """
     app = create_app(settings, load_registry(settings))
-    config = uvicorn.Config(
+    Server(server_config(app, settings), app.state.service, announce).run()
+
+
+def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
+    """How uvicorn runs the application."""
+    return uvicorn.Config(
         app,
         host=settings.host,
         port=settings.port,
@@ -72,4 +78,3 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
         ws_max_size=WS_MAX_SIZE,
         ws_per_message_deflate=False,
     )
-    Server(config, app.state.service, announce).run()

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import threading
 
-import uvicorn
 from scripted_service import TIMEOUT_S
 
 from service.app import create_app
-from service.server import Server
+from service.server import Server, server_config
 from service.settings import Settings
 
 
@@ -19,18 +18,16 @@ class RunningService:
     ----------
     port : int
         0 takes a free one.
+    settings : Settings, optional
+        One worker by default.
     """
 
-    def __init__(self, port: int = 0) -> None:
-        app = create_app(Settings(workers=1))
+    def __init__(self, port: int = 0, settings: Settings | None = None) -> None:
+        settings = settings or Settings(workers=1)
+        settings = settings.model_copy(update={"port": port, "log_level": "error"})
+        app = create_app(settings)
         started = threading.Event()
-        config = uvicorn.Config(
-            app,
-            port=port,
-            log_level="error",
-            ws="websockets-sansio",
-            ws_per_message_deflate=False,
-        )
+        config = server_config(app, settings)
         self._server = Server(config, app.state.service, lambda _: started.set())
         self._thread = threading.Thread(target=self._server.run)
         self._thread.start()

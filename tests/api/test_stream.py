@@ -1,0 +1,314 @@
+"""``/stream`` over a real socket: handshake, close codes, hostile clients, draining, watching."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket as socketlib
+import threading
+import time
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, suppress
+from typing import Any
+
+import httpx2
+import numpy as np
+import pytest
+import websockets
+from running_service import RunningService
+from websockets.asyncio.client import ClientConnection, connect
+
+from service.api import stream as stream_api
+from service.settings import Settings
+
+PATIENCE = 30
+"""Seconds until a hanging test fails"""
+START = {
+    "type": "start",
+    "audio": {"encoding": "pcm_s16le", "sample_rate": 16000, "channels": 4},
+    "array": {"name": "respeaker-usb-4mic-v2"},
+    "method": "norm_music",
+}
+SECOND = np.random.default_rng(0).integers(-300, 300, (16000, 4)).astype("<i2").tobytes()
+
+
+@pytest.fixture(scope="module")
+def service() -> Iterator[RunningService]:
+    running = RunningService(settings=Settings(workers=1, max_sessions=8, idle_timeout=20))
+    yield running
+    running.stop()
+
+
+def address(service: RunningService) -> str:
+    return service.url.replace("http", "ws") + "/stream"
+
+
+@asynccontextmanager
+async def opened(service: RunningService, **options: Any) -> AsyncIterator[ClientConnection]:
+    arguments = {"subprotocols": ["doa.v1"], "compression": None, **options}
+    async with asyncio.timeout(PATIENCE), connect(address(service), **arguments) as socket:
+        yield socket
+
+
+async def started(socket: ClientConnection, **changes: Any) -> dict[str, Any]:
+    await socket.send(json.dumps({**START, **changes}))
+    return await until(socket, "ready")
+
+
+async def until(socket: ClientConnection, kind: str) -> dict[str, Any]:
+    """The next message of a type."""
+    while True:
+        message: dict[str, Any] = json.loads(await socket.recv())
+        if message["type"] == kind:
+            return message
+
+
+async def end(socket: ClientConnection) -> tuple[dict[str, Any], int | None]:
+    """The last message and the close code."""
+    last: dict[str, Any] = {}
+    with suppress(websockets.ConnectionClosedError):  # any code but 1000
+        async for text in socket:
+            last = json.loads(text)
+    return last, socket.close_code
+
+
+def refusal(service: RunningService, **options: Any) -> tuple[int, dict[str, Any], Any]:
+    """Status, problem and headers of a handshake that is refused."""
+
+    async def attempt() -> tuple[int, dict[str, Any], Any]:
+        with pytest.raises(websockets.InvalidStatus) as caught:
+            async with opened(service, **options):
+                pass
+        response = caught.value.response
+        return response.status_code, json.loads(response.body or b"{}"), response.headers
+
+    return asyncio.run(attempt())
+
+
+def test_a_handshake_without_the_subprotocol_is_a_problem(service: RunningService) -> None:
+    status, problem, headers = refusal(service, subprotocols=None)
+    assert (status, problem["code"]) == (400, "subprotocol_missing")
+    assert headers["content-type"] == "application/problem+json"
+
+
+def test_a_page_from_elsewhere_is_refused_and_the_own_page_is_not(service: RunningService) -> None:
+    status, problem, _ = refusal(service, origin="http://evil.example")
+    assert (status, problem["code"]) == (403, "origin_refused")
+
+    async def own() -> str:
+        async with opened(service, origin=service.url) as socket:
+            return (await started(socket))["session"]
+
+    assert asyncio.run(own())
+
+
+def test_a_full_service_says_when_to_come_again(service: RunningService) -> None:
+    async def fill() -> tuple[int, dict[str, Any], Any]:
+        async with asyncio.TaskGroup() as group:
+            release = asyncio.Event()
+
+            async def hold(ready: asyncio.Event) -> None:
+                async with opened(service) as socket:
+                    await started(socket)
+                    ready.set()
+                    await release.wait()
+
+            for _ in range(8):
+                ready = asyncio.Event()
+                group.create_task(hold(ready))
+                await ready.wait()
+            found = await asyncio.to_thread(refusal, service)
+            release.set()
+        return found
+
+    status, problem, headers = asyncio.run(fill())
+    assert (status, problem["code"]) == (503, "overloaded")
+    assert int(headers["retry-after"]) > 0
+
+
+@pytest.mark.parametrize(
+    ("messages", "code", "close_code"),
+    [
+        ([bytes(8)], "audio_before_start", 1003),
+        (["{"], "message_invalid", 4400),
+        ([json.dumps(START), bytes(7)], "message_invalid", 4400),
+        ([json.dumps(START), b"RIFF" + bytes(60)], "message_invalid", 4400),
+        ([json.dumps(START), bytes(70_000)], "message_too_big", 1009),
+        ([" " * 70_000], "message_too_big", 1009),
+        (['{"type":"stop"}'], "done", 1000),
+    ],
+)
+def test_a_message_precedes_every_close_frame(
+    messages: list[str | bytes], code: str, close_code: int, service: RunningService
+) -> None:
+    async def run() -> tuple[dict[str, Any], int | None]:
+        async with opened(service) as socket:
+            for message in messages:
+                await socket.send(message)
+            return await end(socket)
+
+    last, closed_with = asyncio.run(run())
+    assert (last["code"], closed_with) == (code, close_code)
+
+
+def test_one_client_name_has_a_bounded_number_of_streams() -> None:
+    running = RunningService(settings=Settings(workers=1, max_sessions_per_client=1))
+
+    async def run() -> tuple[dict[str, Any], int | None]:
+        async with opened(running) as first, opened(running) as second:
+            await started(first, client="robot")
+            await second.send(json.dumps({**START, "client": "robot"}))
+            return await end(second)
+
+    try:
+        last, close_code = asyncio.run(run())
+    finally:
+        running.stop()
+    assert (last["code"], close_code) == ("too_many_sessions", 4429)
+
+
+def test_others_do_not_notice_one_who_floods_one_who_vanishes_and_one_who_never_reads(
+    service: RunningService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stream_api, "SEND_TIMEOUT_S", 0.5)
+
+    async def flood() -> None:
+        async with opened(service) as socket:
+            await started(socket)
+            for _ in range(150):
+                await socket.send(SECOND[:65_536])
+
+    async def vanish() -> None:
+        async with opened(service) as socket:
+            await started(socket)
+            await socket.send(SECOND[:65_536])
+            socket.transport.abort()
+
+    async def never_read() -> None:
+        # The operating system would read megabytes in its place.
+        small = socketlib.socket()
+        small.setsockopt(socketlib.SOL_SOCKET, socketlib.SO_RCVBUF, 4096)
+        small.connect(("127.0.0.1", service.port))
+        async with opened(service, sock=small) as socket:
+            await started(socket, output={"include": ["spectrum"], "interval_ms": 20})
+            socket.transport.pause_reading()
+            with suppress(websockets.ConnectionClosed):
+                while True:  # until the service cuts it off
+                    await socket.send(SECOND[:6400])
+
+    async def robot() -> list[dict[str, Any]]:
+        async with opened(service) as socket:
+            await started(socket, overflow="block")
+            found = []
+            for index in range(20):
+                await socket.send(SECOND[index * 6400 : (index + 1) * 6400])
+            for _ in range(10):
+                found.append(await until(socket, "result"))
+            return found
+
+    async def run() -> list[dict[str, Any]]:
+        async with asyncio.TaskGroup() as group:
+            for each in (flood(), vanish(), never_read()):
+                group.create_task(each)
+            own = group.create_task(robot())
+        return own.result()
+
+    results = asyncio.run(run())
+    assert [round(r["t_end"], 3) for r in results] == pytest.approx(np.arange(1, 11) / 10)
+    settle(service)
+
+
+def settle(service: RunningService) -> None:
+    """Wait until no session runs."""
+
+    deadline = time.monotonic() + PATIENCE
+    while any(each["state"] == "running" for each in sessions(service)):
+        assert time.monotonic() < deadline
+
+
+def sessions(service: RunningService) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = httpx2.get(f"{service.url}/sessions").json()["sessions"]
+    return found
+
+
+def test_hundreds_who_connect_and_vanish_leave_nothing_behind(service: RunningService) -> None:
+    threads = threading.active_count()
+
+    async def run() -> None:
+        for index in range(300):
+            async with opened(service) as socket:
+                if index % 3:
+                    await socket.send(json.dumps(START))
+                if index % 3 == 2:
+                    await socket.send(SECOND[:6400])
+                socket.transport.abort()
+
+    asyncio.run(run())
+    settle(service)
+    assert threading.active_count() <= threads + 1
+
+
+def test_a_session_can_be_watched_listed_and_exported(service: RunningService) -> None:
+    async def run() -> tuple[list[tuple[str, Any]], dict[str, Any], str, str]:
+        async with opened(service) as socket, httpx2.AsyncClient(base_url=service.url) as http:
+            ready = await started(socket, client="watched")
+            await socket.send(SECOND[:65_536])
+            await until(socket, "result")
+            path = f"/sessions/{ready['session']}"
+            events: list[tuple[str, Any]] = []
+            async with http.stream("GET", f"{path}/events") as response:
+                assert response.headers["content-type"].startswith("text/event-stream")
+                lines = response.aiter_lines()
+                await socket.send(SECOND[:65_536])
+                await socket.send('{"type":"stop"}')
+                kind = ""
+                async for line in lines:
+                    if line.startswith("event: "):
+                        kind = line.removeprefix("event: ")
+                    if line.startswith("data: "):
+                        events.append((kind, json.loads(line.removeprefix("data: "))))
+            (listed,) = (s for s in sessions(service) if s["id"] == ready["session"])
+            lines_text = (await http.get(f"{path}/export")).text
+            table = (await http.get(f"{path}/export", params={"format": "csv"})).text
+            return events, listed, lines_text, table
+
+    events, listed, lines, table = asyncio.run(run())
+    kinds = [kind for kind, _ in events]
+    assert kinds[:2] == ["ready", "history"]
+    assert kinds[-2:] == ["summary", "closing"]
+    assert all(len(data["spectrum"]) == 360 for kind, data in events if kind == "result")
+    assert (listed["client"], listed["state"], listed["method"]) == (
+        "watched",
+        "ended",
+        "norm_music",
+    )
+    assert len(lines.splitlines()) == listed["results"]
+    assert json.loads(lines.splitlines()[0])["t_end"] == pytest.approx(0.1)
+    assert table.startswith("t_end,capture_time_ns,id,azimuth_deg,confidence,active")
+
+
+def test_an_unknown_session_is_a_404_problem(service: RunningService) -> None:
+    for path in ("events", "export"):
+        response = httpx2.get(f"{service.url}/sessions/nobody/{path}")
+        assert (response.status_code, response.json()["code"]) == (404, "not_found")
+
+
+def test_a_stopping_service_says_goodbye_and_takes_nobody_new() -> None:
+    running = RunningService(settings=Settings(workers=1))
+
+    async def run() -> tuple[list[str], dict[str, Any], int | None]:
+        async with opened(running) as socket:
+            await started(socket)
+            await socket.send(SECOND[:40_000])
+            stopping = asyncio.create_task(asyncio.to_thread(running.stop))
+            kinds, last = [], {}
+            with suppress(websockets.ConnectionClosedError):
+                async for text in socket:
+                    last = json.loads(text)
+                    kinds.append(last["type"])
+            await stopping
+            return kinds, last, socket.close_code
+
+    kinds, closing, close_code = asyncio.run(run())
+    assert kinds[-2:] == ["summary", "closing"]
+    assert (closing["code"], close_code) == ("draining", 1012)
