@@ -20,7 +20,7 @@ Contents
 ``ChannelDiagnostics`` takes a recording block by block in bounded memory and gives findings.
 ``RunningDiagnostics`` does so for a stream that does not end, and reports what is new.
 ``levels`` counts samples, ``excerpt`` keeps the loud seconds, ``copies``, ``sound``, ``bandwidth``,
-``processed``, ``lag``, ``cells``, ``fit`` and ``geometry`` look at that excerpt.
+``processed``, ``lag``, ``cells``, ``fit``, ``geometry`` and ``diffuse`` look at that excerpt.
 """
 
 from service.doa.diagnostics.channels import ChannelDiagnostics, DiagnosticReport

@@ -9,6 +9,7 @@ import numpy as np
 from service.doa.array import SPEED_OF_SOUND, MicrophoneArray, pairwise_distances
 from service.doa.diagnostics.bandwidth import bandwidth_findings
 from service.doa.diagnostics.cells import MAX_BLOCKS, direct_cells
+from service.doa.diagnostics.diffuse import size_findings
 from service.doa.diagnostics.finding import Finding
 from service.doa.diagnostics.fit import PlaneWaveFit
 from service.doa.diagnostics.geometry import MIN_MICROPHONES, geometry_findings
@@ -93,4 +94,5 @@ def _geometry(
     if not cells.enough:
         return [], "there is too little direct sound"
     fit = PlaneWaveFit(cells, array.positions, sample_rate)
-    return geometry_findings(fit, array.positions, names), None
+    found = geometry_findings(fit, array.positions, names)
+    return found or size_findings(segments, sample_rate, array), None
