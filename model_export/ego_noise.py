@@ -192,8 +192,8 @@ generalised eigenvalue MUSIC.
 
 Measured in simulation: {scenes} talkers 0.5 to 2 m from `{array}` in a room of 6 x 5 x 3 m with an
 RT60 of 0.3 s, windows of 1.04 s, beside a noise 10 cm behind the array's centre at {snr:g} dB SNR.
-The profile is learnt from 5 s of that noise with other random phases, speeds and air; {alone:g} s of it
-alone count the false sources (in windows and in the summary). One source is asked for in the
+The profile is learnt from 5 s of that noise with other random phases, speeds and air; {alone:g} s
+of it alone count the false sources (in windows and in the summary). One source is asked for in the
 columns of errors. The network tells the first of these fans from a talker without any profile.
 
 `python -m model_export.ego_noise --speech FOLDER` (Speech Commands) writes this page.

@@ -10,6 +10,7 @@ all pairs, so that only its shape over frequency and distance counts.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -35,15 +36,27 @@ SMALLER = 0.86
 """Largest estimate that is a finding. Reflections come from the walls more than from the ceiling,
 which makes estimates of right arrays 1.0 to 1.3; only people who are always 60 degrees above it in
 a dry room (RT60 0.2 s) bring them down to 0.8"""
+MIN_GAIN = 1.15
+"""Below it the given size explains the coherence nearly as well"""
 MAX_RESIDUAL = 0.4
 """Of the coherence's power that the best scale may leave; a single direction leaves more"""
 MIN_APERTURE, MAX_APERTURE = 0.03, 0.3  # m; smaller arrays are coherent in the band, larger never
 
 
-def diffuse_scale(
+@dataclass(frozen=True, slots=True)
+class DiffuseFit:
+    """The array whose diffuse coherence is the one that is heard."""
+
+    scale: float
+    """Its size against the given one"""
+    gain: float
+    """What the given one leaves unexplained against what this one does, at least 1"""
+
+
+def diffuse_fit(
     segments: Sequence[FloatArray], sample_rate: int, positions: FloatArray
-) -> float | None:
-    """Size of the array against ``positions``, or None where too little reverberation is heard.
+) -> DiffuseFit | None:
+    """The size of the array against ``positions``, or None where too little reverberation is heard.
 
     Parameters
     ----------
@@ -88,7 +101,9 @@ def _coherence(spectra: ComplexArray, power: FloatArray, cells: BoolArray) -> Fl
     return coherence
 
 
-def _fitted(coherence: FloatArray, frequencies: FloatArray, distances: FloatArray) -> float | None:
+def _fitted(
+    coherence: FloatArray, frequencies: FloatArray, distances: FloatArray
+) -> DiffuseFit | None:
     """The scale whose diffuse coherence fits (F, N, N) best, or None where none does."""
     pairs = np.triu_indices(len(distances), 1)
     measured = coherence[:, pairs[0], pairs[1]]  # (F, P)
@@ -101,7 +116,8 @@ def _fitted(coherence: FloatArray, frequencies: FloatArray, distances: FloatArra
     best = int(np.argmin(residuals))
     if residuals[best] > MAX_RESIDUAL * float(np.sum(measured**2)):
         return None
-    return float(SCALES[best])
+    given = residuals[int(np.argmin(np.abs(SCALES - 1)))]
+    return DiffuseFit(float(SCALES[best]), given / max(residuals[best], 1e-12))
 
 
 def size_findings(
@@ -110,12 +126,13 @@ def size_findings(
     """``array_scale`` where the array is clearly smaller than it is said to be."""
     if not MIN_APERTURE <= array.aperture <= MAX_APERTURE:
         return []
-    scale = diffuse_scale(segments, sample_rate, array.positions)
-    if scale is None or scale > SMALLER:
+    fit = diffuse_fit(segments, sample_rate, array.positions)
+    if fit is None or fit.scale > SMALLER or fit.gain < MIN_GAIN:
         return []
     detail = (
-        f"the reverberation fits an array about {scale:.1f} times as large as the given one: check "
-        f"the positions (a diameter is twice a radius, a side of a square is not its diagonal); "
-        f"only an array that hears everybody from steeply above sounds alike, in a very dry room"
+        f"the reverberation fits an array about {fit.scale:.1f} times as large as the given one: "
+        f"check the positions (a diameter is twice a radius, a side of a square is not its "
+        f"diagonal); only an array that hears everybody from steeply above sounds alike, in a very "
+        f"dry room"
     )
     return [Finding("array_scale", detail)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.doa.array import MicrophoneArray
-from service.doa.diagnostics.diffuse import diffuse_scale, size_findings
+from service.doa.diagnostics.diffuse import diffuse_fit, size_findings
 from service.doa.presets import preset
 from service.doa.types import FloatArray
 
@@ -36,10 +36,10 @@ def dying_away(positions: FloatArray, seed: int = 0) -> list[FloatArray]:
 @pytest.mark.parametrize("scale", [0.5, 0.7, 1.0, 1.4])
 def test_the_size_is_that_of_the_array_that_heard_the_field(name: str, scale: float) -> None:
     array = preset(name)
-    found = diffuse_scale(dying_away(array.positions * scale), RATE, array.positions)
+    found = diffuse_fit(dying_away(array.positions * scale), RATE, array.positions)
     # Cells of unit power make it a little larger: their coherence is flatter than that of power.
     assert found is not None
-    assert scale - 0.02 <= found <= scale + 0.11
+    assert scale - 0.02 <= found.scale <= scale + 0.11
 
 
 def test_an_array_that_is_too_large_is_found_and_the_right_one_is_not() -> None:
@@ -54,8 +54,8 @@ def test_an_array_that_is_too_large_is_found_and_the_right_one_is_not() -> None:
 def test_nothing_is_said_without_sound_that_dies_away() -> None:
     random = np.random.default_rng(2)
     steady = [(0.05 * random.standard_normal((4, 8000))).astype(np.float32) for _ in range(20)]
-    assert diffuse_scale(steady, RATE, SQUARE.positions) is None
-    assert diffuse_scale([], RATE, SQUARE.positions) is None
+    assert diffuse_fit(steady, RATE, SQUARE.positions) is None
+    assert diffuse_fit([], RATE, SQUARE.positions) is None
 
 
 @pytest.mark.parametrize("level_db", [-20.0, -10.0, 0.0])
