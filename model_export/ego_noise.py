@@ -79,6 +79,7 @@ def score(
     snr_db: float,
     seed: int,
     registry: BundleRegistry,
+    alone_s: float,
 ) -> Score:
     """Errors on scenes with the noise and without it, and what is reported of the noise alone."""
     options = LocalizeOptions(preset(ARRAY), method=method, noise=noise)
@@ -87,7 +88,9 @@ def score(
         scene.audio + _beside(sound, scene, 10 ** (-snr_db / 20), [seed, 1, index])
         for index, scene in enumerate(scenes)
     ]
-    with Recording.open(noise_file(Noise("alone", sound), options.array, seed)) as recording:
+    with Recording.open(
+        noise_file(Noise("alone", sound, alone_s), options.array, seed)
+    ) as recording:
         alone = false_source_scores(localize_recording(recording, options, registry))
     return Score(
         _errors(localizer, noisy, scenes),
@@ -147,14 +150,25 @@ def document(arguments: argparse.Namespace) -> str:
         for index in range(arguments.scenes)
     ]
     registry = BundleRegistry.load()
-    parts = [HEAD.format(scenes=arguments.scenes, snr=arguments.snr, array=ARRAY)]
+    parts = [
+        HEAD.format(scenes=arguments.scenes, snr=arguments.snr, array=ARRAY, alone=arguments.alone)
+    ]
     for name, sound in NOISES.items():
         profile = learnt(sound, arguments.seed)
         rows = [
             (
                 method,
                 "none" if noise is None else "learnt",
-                score(method, sound, noise, scenes, arguments.snr, arguments.seed, registry),
+                score(
+                    method,
+                    sound,
+                    noise,
+                    scenes,
+                    arguments.snr,
+                    arguments.seed,
+                    registry,
+                    arguments.alone,
+                ),
             )
             for method in METHODS
             for noise in (None, profile)
@@ -178,8 +192,8 @@ generalised eigenvalue MUSIC.
 
 Measured in simulation: {scenes} talkers 0.5 to 2 m from `{array}` in a room of 6 x 5 x 3 m with an
 RT60 of 0.3 s, windows of 1.04 s, beside a noise 10 cm behind the array's centre at {snr:g} dB SNR.
-The profile is learnt from 5 s of that noise with other random phases, speeds and air; 60 s of it
-alone count the false sources (in windows and in the summary). One source is asked for in the
+The profile is learnt from 5 s of that noise with other random phases, speeds and air; {alone:g} s
+of it alone count the false sources (in windows and in the summary). One source is asked for in the
 columns of errors. The network tells the first of these fans from a talker without any profile.
 
 `python -m model_export.ego_noise --speech FOLDER` (Speech Commands) writes this page.
@@ -201,6 +215,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--speech", type=Path, required=True, help="folder of Speech Commands")
     parser.add_argument("--scenes", type=int, default=60)
     parser.add_argument("--snr", type=float, default=0.0, help="dB, talker against the noise")
+    parser.add_argument("--alone", type=float, default=60.0, help="seconds of the noise alone")
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--out", type=Path, default=DOCUMENT)
     arguments = parser.parse_args(argv)

@@ -58,6 +58,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
         WorkerPool(settings.workers, settings.queue),
         SessionRegistry(settings.max_sessions),
         ThreadPoolExecutor(settings.workers, thread_name_prefix="stream"),
+        ThreadPoolExecutor(1, thread_name_prefix="check"),
         registry,
         NoiseStore(settings.noise_folder),
     )
@@ -68,7 +69,8 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
             state.registry = await anyio.to_thread.run_sync(load_registry, settings)
         await anyio.to_thread.run_sync(warm_up, state.registry)
         yield
-        state.stream_pool.shutdown(wait=False, cancel_futures=True)
+        for pool in (state.stream_pool, state.check_pool):
+            pool.shutdown(wait=False, cancel_futures=True)
 
     app = DocumentedApp(
         title="NeuralMUSIC Service",

@@ -25,6 +25,8 @@ class ServiceState:
     streams: SessionRegistry
     stream_pool: Executor
     """Threads that streams compute in"""
+    check_pool: Executor
+    """One thread that looks at streams' channels, one after the other"""
     registry: BundleRegistry | None = None
     """None until the bundles are loaded and self-tested"""
     noise: NoiseStore = field(default_factory=NoiseStore)

@@ -75,7 +75,7 @@ class Connection:
         settings = state.settings
         self._websocket = websocket
         self._loop = asyncio.get_running_loop()
-        self._pool = state.stream_pool
+        self._pool, self._check_pool = state.stream_pool, state.check_pool
         self._streams = state.streams
         self._outbox = Outbox()
         self._room = asyncio.Event()
@@ -108,6 +108,9 @@ class Connection:
         if work is not None:
             # Straight to the loop: an asyncio future in between costs more than the rest of this.
             self._pool.submit(work).add_done_callback(self._notify)
+        check = self.session.take_check()
+        if check is not None:
+            self._check_pool.submit(check).add_done_callback(self._notify_checked)
         if self.session.close_code is not None:
             self._outbox.close()
         if self.session.wants_audio:
@@ -119,6 +122,10 @@ class Connection:
         """Called in the thread that did the work."""
         with suppress(RuntimeError):  # the loop was closed meanwhile
             self._loop.call_soon_threadsafe(self._worked)
+
+    def _notify_checked(self, _: Future[None]) -> None:
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self.session.check_done)
 
     def _worked(self) -> None:
         self.session.work_done(self._loop.time())

@@ -11,6 +11,7 @@ import numpy as np
 import soxr
 
 from service.doa.array import MicrophoneArray
+from service.doa.diagnostics.running import RunningDiagnostics
 from service.doa.orientation import Orientation
 from service.doa.stft import Stft, StreamingStft
 from service.doa.tracking import Detection, Track, Tracker
@@ -87,6 +88,8 @@ class StreamPipeline:
         """Sample frames of the stream per sample of the analysis"""
         self._frame_bytes = SAMPLE_BYTES[plan.audio.encoding] * plan.audio.channels
         self._tracker = Tracker()
+        self.diagnostics = RunningDiagnostics(plan.audio.sample_rate, plan.channel_map, plan.array)
+        """Fed here; whoever has time asks it"""
         self._noise = plan.noise
         self._calibration: _Calibration | None = None
         self._position = 0
@@ -202,6 +205,7 @@ class StreamPipeline:
             self._captured = (last.position, last.capture_time_ns)
         data = b"".join(piece.data for piece in pieces)
         samples = decode_pcm(data, audio.encoding, audio.channels, self._plan.channel_map)
+        self.diagnostics.add(samples)
         if audio.encoding == "pcm_f32le":
             samples = np.nan_to_num(samples, copy=False)
         if self._resampler is not None:

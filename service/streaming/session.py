@@ -20,6 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
+from service.doa.diagnostics import Finding
 from service.errors import (
     AudioBeforeStart,
     DoaError,
@@ -105,6 +106,8 @@ class Session:
         """With the sample frames received before each"""
         self._outcome: _Outcome | None = None
         """Of the work under way"""
+        self._findings: list[Finding] | None = None
+        """Of the check under way"""
         self._draining = False
         self._began = self._heard = now
 
@@ -218,6 +221,34 @@ class Session:
             self._report.ready(self.id, outcome.opened, self.output, self._limits)
         else:
             self._stepped(outcome, now)
+
+    def take_check(self) -> Callable[[], None] | None:
+        """A look at the channels to run in a thread of little priority, or None.
+
+        It may run beside a work, one at a time; ``check_done`` after it.
+        """
+        if self._findings is not None or self.opened is None or self.state != "running":
+            return None
+        diagnostics = self.opened.pipeline.diagnostics
+        if not diagnostics.due():
+            return None
+        findings = self._findings = []
+
+        def check() -> None:
+            try:
+                findings.extend(diagnostics.check())
+            except Exception:  # a broken check must not end a stream
+                log.exception("the diagnostics of session %s failed", self.id)
+
+        return check
+
+    def check_done(self) -> None:
+        """Warn of what the check found."""
+        findings, self._findings = self._findings, None
+        if self.state == "closed":
+            return
+        for finding in findings or ():
+            self._report.warn(finding.code, finding.detail, channels=finding.channels)
 
     def _control(
         self, message: Start | Update | Flush | Ping | Calibrate | Stop, now: float

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from fastapi.testclient import TestClient
@@ -12,10 +12,11 @@ from jsonschema import Draft202012Validator
 
 from service.app import create_app
 from service.asyncapi import document_json, renewed
+from service.doa.diagnostics.finding import FindingCode
 from service.inference.registry import BundleRegistry
 from service.protocol.client_messages import CLIENT_MESSAGES
 from service.protocol.message import message_type
-from service.protocol.server_messages import SERVER_MESSAGES
+from service.protocol.server_messages import SERVER_MESSAGES, WarningCode
 from service.settings import Settings
 
 ROOT = Path(__file__).parents[2]
@@ -96,3 +97,7 @@ def test_the_protocol_document_shows_messages_that_are_valid(document: Any) -> N
 def test_the_service_serves_the_document() -> None:
     with TestClient(create_app(Settings(), BundleRegistry(()))) as client:
         assert client.get("/asyncapi.json").text == document_json()
+
+
+def test_every_finding_of_the_diagnostics_can_be_a_warning() -> None:
+    assert set(get_args(FindingCode)) <= set(get_args(WarningCode))

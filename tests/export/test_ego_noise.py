@@ -33,7 +33,7 @@ def test_the_table_says_what_was_measured() -> None:
 
 def test_the_page_has_a_table_for_every_noise(corpus: Path, tmp_path: Path) -> None:
     out = tmp_path / "ego-noise.md"
-    main(["--speech", str(corpus), "--scenes", "2", "--out", str(out)])
+    main(["--speech", str(corpus), "--scenes", "2", "--alone", "3", "--out", str(out)])
     page = out.read_text()
     assert [line[5:] for line in page.splitlines() if line.startswith("## A ")] == list(NOISES)
     assert page.count("| `neural` | learnt |") == len(NOISES)

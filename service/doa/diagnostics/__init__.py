@@ -18,13 +18,15 @@ late channel of a flat array may be told only up to its opposite (another one ea
 Contents
 --------
 ``ChannelDiagnostics`` takes a recording block by block in bounded memory and gives findings.
-``levels`` counts samples, ``excerpt`` keeps the loud seconds, ``copies``, ``bandwidth``, ``lag``,
-``cells``, ``fit`` and ``geometry`` look at that excerpt.
+``RunningDiagnostics`` does so for a stream that does not end, and reports what is new.
+``levels`` counts samples, ``excerpt`` keeps the loud seconds, ``copies``, ``sound``, ``bandwidth``,
+``processed``, ``lag``, ``cells``, ``fit``, ``geometry`` and ``diffuse`` look at that excerpt.
 """
 
 from service.doa.diagnostics.channels import ChannelDiagnostics, DiagnosticReport
 from service.doa.diagnostics.finding import Finding, FindingCode
 from service.doa.diagnostics.levels import ChannelLevels, LevelMeter
+from service.doa.diagnostics.running import RunningDiagnostics
 
 __all__ = [
     "ChannelDiagnostics",
@@ -33,4 +35,5 @@ __all__ = [
     "Finding",
     "FindingCode",
     "LevelMeter",
+    "RunningDiagnostics",
 ]

@@ -56,7 +56,12 @@ class _Block:
     vectors: ComplexArray
 
 
-def direct_cells(segments: Sequence[FloatArray], sample_rate: int, max_frequency: float) -> Cells:
+def direct_cells(
+    segments: Sequence[FloatArray],
+    sample_rate: int,
+    max_frequency: float,
+    max_blocks: int = MAX_BLOCKS,
+) -> Cells:
     """The strongest cells of one source from an excerpt.
 
     Parameters
@@ -70,7 +75,7 @@ def direct_cells(segments: Sequence[FloatArray], sample_rate: int, max_frequency
     Returns
     -------
     cells : Cells
-        At most ``MAX_BLOCKS * BLOCK_CELLS``; none where no direct sound is heard.
+        At most ``max_blocks * BLOCK_CELLS``; none where no direct sound is heard.
     """
     n_fft = 1 << round(np.log2(FRAME_S * sample_rate))
     stft = Stft(sample_rate, n_fft, n_fft // 2)
@@ -82,7 +87,7 @@ def direct_cells(segments: Sequence[FloatArray], sample_rate: int, max_frequency
         if segment.shape[-1] >= stft.num_samples(BLOCK_FRAMES):
             spectra = stft.transform(segment)[:, band]
             blocks += _segment_blocks(spectra, stft.frequencies[band])
-    blocks = sorted(blocks, key=lambda block: -block.power)[:MAX_BLOCKS]
+    blocks = sorted(blocks, key=lambda block: -block.power)[:max_blocks]
     if not blocks:
         microphones = segments[0].shape[0] if segments else 0
         return Cells(np.zeros(0), np.zeros(0, dtype=int), np.zeros((0, microphones), np.complex64))

@@ -7,27 +7,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.doa.array import SPEED_OF_SOUND, MicrophoneArray, pairwise_distances
+from service.doa.array import MicrophoneArray
 from service.doa.diagnostics.bandwidth import bandwidth_findings
-from service.doa.diagnostics.cells import direct_cells
 from service.doa.diagnostics.copies import copied_groups, copy_findings
 from service.doa.diagnostics.excerpt import Excerpt
 from service.doa.diagnostics.finding import Finding
-from service.doa.diagnostics.fit import PlaneWaveFit
-from service.doa.diagnostics.geometry import MIN_MICROPHONES, geometry_findings
-from service.doa.diagnostics.lag import lag_findings, unknown_distances
 from service.doa.diagnostics.levels import (
     ChannelLevels,
     LevelMeter,
     dead_channels,
     level_findings,
 )
+from service.doa.diagnostics.sound import sound_findings
 from service.doa.types import FloatArray
 from service.errors import ChannelMismatch
 
 QUIET = 1e-6
 """Power of the loudest half second, -60 dBFS: 30 dB above the rounding of 16-bit audio."""
-MAX_APERTURE = 0.5  # m; over larger arrays a talker's waves are no longer plane
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,60 +86,25 @@ class ChannelDiagnostics:
         findings = level_findings(levels, self._names)
         segments = self._excerpt.segments()
         if self._excerpt.loudest() < QUIET:
-            findings.append(self._quiet())
+            findings.append(quiet_finding(self._excerpt.loudest(), levels))
             return DiagnosticReport(levels, tuple(findings), "the recording is too quiet")
         dead = dead_channels(levels)
         copied = copied_groups(segments, dead)
         findings += copy_findings(copied, self._names)
-        findings += bandwidth_findings(segments, self._sample_rate)
         if dead or copied:
+            findings += bandwidth_findings(segments, self._sample_rate)
             return DiagnosticReport(levels, tuple(findings), "dead or copied channels come first")
-        more, unchecked = self._delays(segments, array)
+        more, unchecked = sound_findings(segments, self._sample_rate, self._names, array)
         return DiagnosticReport(levels, (*findings, *more), unchecked)
 
-    def _delays(
-        self, segments: Sequence[FloatArray], array: MicrophoneArray | None
-    ) -> tuple[list[Finding], str | None]:
-        """Findings about delays between channels, and why geometry was not judged."""
-        if array is None:
-            unknown = unknown_distances(len(self._names))
-            late = lag_findings(segments, self._sample_rate, unknown, self._names)
-            return late, "no array was named"
-        distances = pairwise_distances(array.positions)
-        fits, unchecked = self._geometry(segments, array)
-        late = lag_findings(segments, self._sample_rate, distances, self._names)
-        # A wrong scale or order makes channels look late; lags beyond the whole array are no order.
-        beyond = np.full_like(distances, distances.max())
-        explained = {"array_scale"}
-        if not lag_findings(segments, self._sample_rate, beyond, self._names):
-            explained.add("channel_order")
-        if not late or any(finding.code in explained for finding in fits):
-            return fits, unchecked
-        return late, "late channels come first"
 
-    def _geometry(
-        self, segments: Sequence[FloatArray], array: MicrophoneArray
-    ) -> tuple[list[Finding], str | None]:
-        """Findings from the comparison of sound and array, and why there was none."""
-        if array.num_microphones < MIN_MICROPHONES:
-            return [], f"it takes {MIN_MICROPHONES} microphones to tell a mistake from a direction"
-        if array.aperture > MAX_APERTURE:
-            return [], f"the array is larger than {MAX_APERTURE:g} m"
-        # Above two wavelengths across the array the grid of directions is too coarse.
-        limit = 2 * SPEED_OF_SOUND / array.aperture
-        cells = direct_cells(segments, self._sample_rate, limit)
-        if not cells.enough:
-            return [], "there is too little direct sound"
-        fit = PlaneWaveFit(cells, array.positions, self._sample_rate)
-        return geometry_findings(fit, array.positions, self._names), None
-
-    def _quiet(self) -> Finding:
-        power = self._excerpt.loudest()
-        if power == 0.0 and not np.isfinite(self.levels().rms).any():
-            return Finding("quiet", "the recording is silent: check that the right device recorded")
-        level = f"{10 * np.log10(power):.0f} dBFS" if power > 0 else "nothing"
-        return Finding(
-            "quiet",
-            f"the loudest half second has {level}: raise the recording gain or come closer, "
-            f"rounding noise hides directions",
-        )
+def quiet_finding(power: float, levels: ChannelLevels) -> Finding:
+    """``quiet`` of audio whose loudest half second has the power ``power``."""
+    if power == 0.0 and not np.isfinite(levels.rms).any():
+        return Finding("quiet", "the recording is silent: check that the right device recorded")
+    level = f"{10 * np.log10(power):.0f} dBFS" if power > 0 else "nothing"
+    return Finding(
+        "quiet",
+        f"the loudest half second has {level}: raise the recording gain or come closer, "
+        f"rounding noise hides directions",
+    )

@@ -11,12 +11,14 @@ FindingCode = Literal[
     "quiet",
     "channel_dead",
     "channels_identical",
+    "channel_processed",
     "clipping",
     "dc_offset",
     "band_limited",
     "channel_late",
     "channel_order",
     "array_scale",
+    "sample_rate_wrong",
 ]
 
 

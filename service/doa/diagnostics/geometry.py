@@ -27,6 +27,7 @@ PRIOR = 1.03  # an order wins over a slightly better lag: wrong orders are far m
 MAX_LATE = 4  # samples; most larger lags are seen by cross-correlation
 SCALE_RATIO = 0.6  # of the misfit, for another scale: a larger array fits any sound a little better
 SCALES = (1.5, 2.0, 3.0)  # wrong units are refused; these are 48 kHz read as 32, 24 and 16 kHz
+RATE_SCALE = 2.5  # from here on: radius and diameter are confused at 2, sample rates at 2.76 and 3
 MIN_MICROPHONES = 4  # with three, any lag within the array's size is some direction
 
 
@@ -138,12 +139,22 @@ def _late_finding(ties: Sequence[Verdict], names: Sequence[int]) -> Finding:
 
 
 def _scale_finding(verdict: Verdict) -> Finding:
-    detail = (
-        f"the delays between the channels fit an array about {verdict.hypothesis.scale:g} times "
-        f"as large as the given one ({_misfits(verdict)}): check the positions, and that the file "
-        f"names its true sample rate"
+    scale = verdict.hypothesis.scale
+    delays = (
+        f"the delays between the channels fit an array about {scale:g} times as large as the given "
+        f"one ({_misfits(verdict)})"
     )
-    return Finding("array_scale", detail)
+    if scale >= RATE_SCALE:
+        rates = (
+            f"{delays}, as they do where audio of 48 or 44.1 kHz is declared as 16 kHz: check the "
+            f"sample rate that the file or the stream names, then the unit of the positions"
+        )
+        return Finding("sample_rate_wrong", rates)
+    size = (
+        f"{delays}: check the positions (a radius is half a diameter), and that the file names its "
+        f"true sample rate"
+    )
+    return Finding("array_scale", size)
 
 
 def _misfits(verdict: Verdict) -> str:

@@ -153,11 +153,58 @@ def test_a_channel_late_by_milliseconds_is_found_without_an_array_too(
     assert lag_ms == pytest.approx(200 / RATE * 1000, abs=0.2)  # a direction adds up to 0.19 ms
 
 
-def test_a_rate_mistaken_by_three_is_a_wrong_scale() -> None:
-    larger = MicrophoneArray("larger", 3 * SQUARE.positions)
+@pytest.mark.parametrize(
+    ("scale", "code"),
+    [(3.0, "sample_rate_wrong"), (44.1 / 16, "sample_rate_wrong"), (2.0, "array_scale")],
+)
+def test_delays_too_large_for_the_array_are_a_wrong_rate_or_scale(scale: float, code: str) -> None:
+    larger = MicrophoneArray("larger", scale * SQUARE.positions)
     (found,) = findings(recording(larger), SQUARE)
-    assert found.code == "array_scale"
-    assert "3 times as large" in found.detail
+    assert found.code == code
+    assert f"about {round(scale)} times as large" in found.detail
+
+
+def suppressed(beam: FloatArray) -> FloatArray:
+    """A channel (T,) whose pauses are turned down by 20 dB, as noise suppression does."""
+    envelope = np.convolve(np.abs(beam), np.ones(800) / 800, mode="same")
+    return np.where(envelope > 0.25 * envelope.max(), beam, 0.1 * beam).astype(np.float32)
+
+
+@pytest.mark.parametrize("latency", [0, 256])
+def test_a_processed_channel_among_the_microphones_is_named(latency: int) -> None:
+    audio = recording(SQUARE, seconds=10.0)
+    processed = np.roll(suppressed(audio.mean(axis=0)), latency)
+    device = np.stack([processed, *audio[:3]])
+    (found,) = findings(device, SQUARE, channel_map=(0, 1, 2, 3))
+    assert (found.code, found.channels) == ("channel_processed", (0,))
+    assert "name the raw ones with channel_map" in found.detail
+
+
+def test_a_beam_among_the_microphones_is_named() -> None:
+    audio = recording(SQUARE, seconds=10.0, snr_db=15.0)
+    device = np.stack([*audio[1:], audio.mean(axis=0)])
+    (found,) = findings(device, SQUARE, channel_map=(2, 3, 4, 0))
+    assert (found.code, found.channels) == ("channel_processed", (0,))
+
+
+def test_a_playback_channel_among_the_microphones_is_named() -> None:
+    audio = recording(SQUARE, seconds=10.0)
+    other = recording(SQUARE, seconds=10.0, seed=9)[0]
+    device = np.stack([*audio[1:], np.roll(other, 3000)])
+    (found,) = findings(device, SQUARE, channel_map=(2, 3, 4, 5))
+    assert (found.code, found.channels) == ("channel_processed", (5,))
+
+
+def test_unlike_microphones_are_microphones_all_the_same() -> None:
+    audio = recording(SQUARE, seconds=10.0)
+    noise = np.random.default_rng(3).standard_normal(audio.shape).astype(np.float32)
+    noisy = audio.copy()
+    noisy[1] += 0.01 * noise[1]  # 14 dB more noise than the others
+    hot = audio * np.float32([[1.0], [1.0], [1.4], [1.0]]) + 0.003 * noise
+    covered = audio.copy()
+    covered[2, 1:] = 0.5 * (audio[2, 1:] + audio[2, :-1])
+    for unlike in (noisy, hot, covered):
+        assert "channel_processed" not in codes(findings(unlike, SQUARE))
 
 
 @pytest.mark.parametrize("gain", [0.0, 1e-3])

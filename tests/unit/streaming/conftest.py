@@ -67,6 +67,9 @@ class Driver:
         while (work := self.session.take_work()) is not None:
             work()
             self.session.work_done(self.now)
+        while (check := self.session.take_check()) is not None:
+            check()
+            self.session.check_done()
 
     def all(self, kind: str) -> list[dict[str, Any]]:
         return [message for message in self.messages if message["type"] == kind]

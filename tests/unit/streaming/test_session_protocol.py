@@ -318,3 +318,26 @@ def test_stats_come_every_five_seconds_of_audio(new_session: NewSession) -> None
         driver.audio(SECOND)
     assert [stats["audio_s"] for stats in driver.all("stats")] == pytest.approx([5, 10], abs=0.1)
     assert driver.messages[0]["type"] == "ready"
+
+
+def test_faults_of_channels_are_warned_of_once(
+    new_session: NewSession, square: MicrophoneArray, plane_waves: Any
+) -> None:
+    audio = plane_waves(square, [70.0], seconds=8.0)
+    audio[2] = 0.0
+    driver = new_session()
+    driver.send(
+        start(
+            method="norm_music",
+            audio={"encoding": "pcm_f32le", "channels": 6},
+            channel_map=[1, 2, 3, 4],
+        )
+    )
+    six = np.zeros((audio.shape[1], 6), "<f4")
+    six[:, 1:5] = audio.T
+    six[8000, 4] = np.nan
+    driver.audio(six.tobytes(), 48_000)
+    warnings = {warning["code"]: warning["channels"] for warning in driver.all("warning")}
+    assert warnings == {"channel_dead": [3], "non_finite": [4]}
+    assert len(driver.all("warning")) == 2
+    assert len(driver.all("result")) == 80
