@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -16,11 +15,12 @@ from service.api import catalog, localize, noise, page, probes, sessions, stream
 from service.api.limits import BodyLimit
 from service.api.problems import Problem, install_problem_handlers
 from service.api.state import ServiceState
+from service.api.stream_workers import StreamWorkers
 from service.api.workers import WorkerPool
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.settings import Settings, load_settings
-from service.startup import load_registry, warm_up
+from service.startup import load_registry
 from service.streaming.registry import SessionRegistry
 
 DESCRIPTION = """
@@ -57,8 +57,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
         settings,
         WorkerPool(settings.workers, settings.queue),
         SessionRegistry(settings.max_sessions),
-        ThreadPoolExecutor(settings.workers, thread_name_prefix="stream"),
-        ThreadPoolExecutor(1, thread_name_prefix="check"),
+        StreamWorkers(settings),
         registry,
         NoiseStore(settings.noise_folder),
     )
@@ -67,10 +66,8 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         if state.registry is None:
             state.registry = await anyio.to_thread.run_sync(load_registry, settings)
-        await anyio.to_thread.run_sync(warm_up, state.registry)
         yield
-        for pool in (state.stream_pool, state.check_pool):
-            pool.shutdown(wait=False, cancel_futures=True)
+        await state.stream_workers.stop()
 
     app = DocumentedApp(
         title="NeuralMUSIC Service",

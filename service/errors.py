@@ -20,7 +20,7 @@ DoaError
 ├─ BundleError
 │  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed
 ├─ CapacityError
-│  └─ Overloaded · NotReady · Draining
+│  └─ Overloaded · WorkerLost · NotReady · Draining
 └─ ClientError                                (of service.client, never sent by the service)
    └─ ServiceUnreachable · ServiceProblem ─ StreamRefused · StreamClosed
 """
@@ -322,6 +322,13 @@ class Overloaded(CapacityError):
     """Every worker is busy and the queue is full."""
 
     code, title = "overloaded", "Overloaded"
+
+
+class WorkerLost(CapacityError):
+    """The process that computed a stream ended."""
+
+    code, title = "worker_lost", "Worker lost"
+    close_code = 1011
 
 
 class NotReady(CapacityError):

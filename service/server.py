@@ -38,6 +38,7 @@ class Server(uvicorn.Server):
         self._announce = announce
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await self._state.stream_workers.start()
         await super().startup(sockets)
         if self._announce and self.started:
             host, port = self.servers[0].sockets[0].getsockname()[:2]

@@ -72,6 +72,8 @@ class Settings(BaseSettings):
     """Streams at the same time; further ones get 503"""
     max_sessions_per_client: int = Field(8, ge=1, le=100_000)
     """Streams of one client name at the same time"""
+    stream_workers: int = Field(default_factory=usable_cpus, ge=1, le=256)
+    """Most processes that compute streams, started as streams come; by default the usable CPUs"""
     stream_buffer: float = Field(0.5, ge=0.05, le=60)
     """Seconds of a stream's audio that may wait; older audio is dropped"""
     idle_timeout: float = Field(30.0, gt=0, le=86_400)

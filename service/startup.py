@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from service.errors import ConfigError, UnknownModel
-from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.protocol.client_messages import ArrayChoice, AudioFormat, Start
 from service.settings import Settings
 from service.streaming.buffer import Piece
 from service.streaming.opening import open_stream
+from service.streaming.work import Open
 
 
 def load_registry(settings: Settings) -> BundleRegistry:
@@ -38,7 +38,7 @@ def warm_up(registry: BundleRegistry) -> None:
         audio=AudioFormat(encoding="pcm_s16le", sample_rate=48_000, channels=4),
         array=ArrayChoice(name="respeaker-usb-4mic-v2"),
     )
-    pipeline = open_stream(start, registry, NoiseStore()).pipeline
-    noise = np.random.default_rng(0).integers(-999, 999, (pipeline.frames_needed(100), 4))
+    pipeline, opened = open_stream(Open("warm-up", start, None), registry)
+    noise = np.random.default_rng(0).integers(-999, 999, (opened.clock.frames_needed(100), 4))
     piece = Piece(0, noise.astype("<i2").tobytes(), arrived=0.0)
     pipeline.step([piece], start.output, final=True)

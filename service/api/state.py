@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Executor
 from dataclasses import dataclass, field
 
 from fastapi import Request
 
+from service.api.stream_workers import StreamWorkers
 from service.api.workers import WorkerPool
 from service.audio import AudioLimits
 from service.errors import Draining, NotReady
@@ -23,10 +23,7 @@ class ServiceState:
     settings: Settings
     workers: WorkerPool
     streams: SessionRegistry
-    stream_pool: Executor
-    """Threads that streams compute in"""
-    check_pool: Executor
-    """One thread that looks at streams' channels, one after the other"""
+    stream_workers: StreamWorkers
     registry: BundleRegistry | None = None
     """None until the bundles are loaded and self-tested"""
     noise: NoiseStore = field(default_factory=NoiseStore)

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from concurrent.futures import Future
-from contextlib import suppress
-from functools import partial
 
 from fastapi import APIRouter, WebSocket
 
@@ -15,16 +12,20 @@ from service.api.problems import problem_response
 from service.api.state import ServiceState
 from service.errors import DoaError, SubprotocolMissing, TooManySessions
 from service.protocol import SUBPROTOCOL
-from service.protocol.client_messages import Start
 from service.protocol.server_messages import OdasSsl, OdasSst, Result, ServerMessage, Stats
-from service.streaming.opening import OpenedStream, open_stream
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session
+from service.streaming.work import Close, Outcome
 
 TICK_S = 1.0
 """Seconds between looks at the clock"""
 SEND_TIMEOUT_S = 10.0
 """Seconds in which a client must read something"""
+MESSAGES_PER_S = 500
+"""That are read of one client; whoever sends more waits, so that others do not"""
+PAUSE_S = 0.05
+BURST = 1000
+"""Messages beyond, after a quiet time"""
 
 DROPPABLE = (Result, OdasSsl, OdasSst, Stats)
 """Messages that are about now: old ones make room for new ones"""
@@ -56,18 +57,6 @@ def _check_handshake(websocket: WebSocket, state: ServiceState) -> None:
     state.streams.check()
 
 
-def _open(start: Start, state: ServiceState) -> OpenedStream:
-    """Open a stream unless its client has too many."""
-    most = state.settings.max_sessions_per_client
-    named = [each for each in state.streams.entries() if each.client == start.client]
-    if start.client is not None and len(named) > most:
-        raise TooManySessions(
-            f"the client {start.client} has {most} streams, as many as one may: close one, or "
-            "raise NEURALMUSIC_MAX_SESSIONS_PER_CLIENT"
-        )
-    return open_stream(start, state.models(), state.noise)
-
-
 class Connection:
     """Moves messages between a WebSocket, a session and the worker threads."""
 
@@ -75,16 +64,18 @@ class Connection:
         settings = state.settings
         self._websocket = websocket
         self._loop = asyncio.get_running_loop()
-        self._pool, self._check_pool = state.stream_pool, state.check_pool
+        self._worker = state.stream_workers.assign()
+        self._worker.sessions += 1
         self._streams = state.streams
+        self._most = settings.max_sessions_per_client
         self._outbox = Outbox()
         self._room = asyncio.Event()
         self._room.set()  # the first message has room before anything was pumped
         reporter = self._reporter = Reporter(self._emit)
         self.session = Session(
             self._streams.new_id(),
-            partial(_open, state=state),
             reporter,
+            state.noise,
             SessionLimits(settings.stream_buffer, settings.idle_timeout, settings.max_session),
             self._loop.time(),
         )
@@ -100,17 +91,18 @@ class Connection:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
             self.session.abandon()
+            self._worker.submit(Close(self.session.id))
+            self._worker.sessions -= 1
             self._streams.end(self._entry)
 
     def pump(self) -> None:
         """Hand out the session's next work, make room, close what is closed."""
         work = self.session.take_work()
         if work is not None:
-            # Straight to the loop: an asyncio future in between costs more than the rest of this.
-            self._pool.submit(work).add_done_callback(self._notify)
+            self._worker.submit(work, self._worked)
         check = self.session.take_check()
         if check is not None:
-            self._check_pool.submit(check).add_done_callback(self._notify_checked)
+            self._worker.submit(check, self.session.check_done)
         if self.session.close_code is not None:
             self._outbox.close()
         if self.session.wants_audio:
@@ -118,17 +110,8 @@ class Connection:
         else:
             self._room.clear()
 
-    def _notify(self, _: Future[None]) -> None:
-        """Called in the thread that did the work."""
-        with suppress(RuntimeError):  # the loop was closed meanwhile
-            self._loop.call_soon_threadsafe(self._worked)
-
-    def _notify_checked(self, _: Future[None]) -> None:
-        with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(self.session.check_done)
-
-    def _worked(self) -> None:
-        self.session.work_done(self._loop.time())
+    def _worked(self, outcome: Outcome) -> None:
+        self.session.work_done(outcome, self._loop.time())
         self.pump()
 
     def _emit(self, message: ServerMessage) -> None:
@@ -141,8 +124,16 @@ class Connection:
         self._entry.observe(message)
 
     async def _read(self) -> None:
+        allowance, since = float(BURST), self._loop.time()
         while True:
             await self._room.wait()
+            if allowance < 1:
+                await asyncio.sleep(PAUSE_S)
+                now = self._loop.time()
+                allowance = min(BURST, allowance + (now - since) * MESSAGES_PER_S)
+                since = now
+                continue
+            allowance -= 1
             try:
                 received = await self._websocket.receive()
             except RuntimeError:  # starlette's, after the disconnect was received
@@ -155,7 +146,21 @@ class Connection:
                 self.session.receive_bytes(data, now)
             elif text is not None:
                 self.session.receive_text(text, now)
+                self._check_client()
             self.pump()
+
+    def _check_client(self) -> None:
+        """One client name may have a bounded number of streams."""
+        client = self._entry.client
+        if self.session.state != "opening" or client is None:
+            return
+        if sum(each.client == client for each in self._streams.running_entries()) > self._most:
+            self.session.fail(
+                TooManySessions(
+                    f"the client {client} has {self._most} streams, as many as one may: close "
+                    "one, or raise NEURALMUSIC_MAX_SESSIONS_PER_CLIENT"
+                )
+            )
 
     async def _write(self) -> None:
         while (text := await self._outbox.get()) is not None:

@@ -1,8 +1,7 @@
-"""What a stream computes: pieces of PCM in, estimates of now out. Runs in a worker thread."""
+"""What a stream computes: pieces of PCM in, estimates of now out."""
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from service.protocol.client_messages import AudioFormat, OutputOptions
 from service.protocol.framing import SAMPLE_BYTES
 from service.protocol.server_messages import WhyNoSource
 from service.streaming.buffer import Piece
+from service.streaming.clock import StreamClock
 from service.streaming.pcm import decode_pcm
 
 RESAMPLING = "MQ"
@@ -75,11 +75,11 @@ class Step:
     """None where none was due"""
     calibrated: NoiseCovariance | None = None
     """The noise, in the step that completed its calibration"""
-    calibration_error: NoiseCalibrationFailed | None = None
+    calibration_error: str | None = None
 
 
 class StreamPipeline:
-    """One stream's resampler, STFT, localizer and tracker."""
+    """One stream's resampler, STFT, localizer, tracker and diagnostics."""
 
     def __init__(self, plan: StreamPlan) -> None:
         self._plan = plan
@@ -89,7 +89,7 @@ class StreamPipeline:
         self._frame_bytes = SAMPLE_BYTES[plan.audio.encoding] * plan.audio.channels
         self._tracker = Tracker()
         self.diagnostics = RunningDiagnostics(plan.audio.sample_rate, plan.channel_map, plan.array)
-        """Fed here; whoever has time asks it"""
+        """Fed here; another thread may ask it"""
         self._noise = plan.noise
         self._calibration: _Calibration | None = None
         self._position = 0
@@ -139,10 +139,10 @@ class StreamPipeline:
         stft = self._plan.stft
         return stft.num_samples(self._localizer.window_frames) / self._rate
 
-    def frames_needed(self, interval_ms: int) -> int:
-        """Sample frames of the stream until the next estimate is due."""
-        missing = self._due(interval_ms) - self.stream_samples
-        return max(1, math.ceil(missing * self._ratio))
+    @property
+    def clock(self) -> StreamClock:
+        """How far the stream has come."""
+        return StreamClock(self._rate, self._ratio, self.stream_samples, self._reported)
 
     def step(self, pieces: Sequence[Piece], output: OutputOptions, *, final: bool = False) -> Step:
         """Take in audio; an estimate where one is due, or of what is there where ``final``.
@@ -150,9 +150,9 @@ class StreamPipeline:
         Parameters
         ----------
         pieces : sequence of Piece
-            In order, no more than ``frames_needed`` says.
+            In order, no more than the clock's ``frames_needed`` says.
         """
-        due = self._due(output.interval_ms)
+        due = self.clock.due(output.interval_ms)
         self._take(pieces)
         wanted = self.stream_samples >= due or (final and self.stream_samples > self._reported)
         estimate = self._estimate(output) if wanted else None
@@ -162,7 +162,7 @@ class StreamPipeline:
         try:
             self._noise = estimator.finish()
         except NoiseCalibrationFailed as error:
-            return Step(estimate, calibration_error=error)
+            return Step(estimate, calibration_error=error.detail)
         self._begin_anew()
         return Step(estimate, self._noise)
 
@@ -170,11 +170,6 @@ class StreamPipeline:
         """Learn the noise from the next ``seconds`` of audio; not while a step runs."""
         plan = self._plan
         self._calibration = _Calibration(NoiseEstimator(plan.array, plan.stft), seconds)
-
-    def _due(self, interval_ms: int) -> float:
-        """Stream time of the next estimate in samples: multiples of the interval."""
-        interval = interval_ms * self._rate / 1000
-        return (math.floor(max(self._reported, 0.0) / interval + 1e-9) + 1) * interval
 
     def _take(self, pieces: Sequence[Piece]) -> None:
         """Take in pieces; those without anything missing between them at once."""

@@ -90,7 +90,7 @@ class SessionRegistry:
     def drain(self) -> None:
         """Take no more sessions and end all in order."""
         self.draining = True
-        for entry in tuple(self._running.values()):
+        for entry in self.running_entries():
             if entry.session is not None:
                 entry.session.drain()
                 entry.pump()
@@ -123,8 +123,8 @@ class SessionRegistry:
         if entry.reporter.account.results:
             self._ended.append(entry)
 
-    def entries(self) -> tuple[SessionEntry, ...]:
-        """The running sessions; safe to call from any thread."""
+    def running_entries(self) -> tuple[SessionEntry, ...]:
+        """The running sessions."""
         return tuple(self._running.values())
 
     def get(self, session_id: str) -> SessionEntry | None:

@@ -9,11 +9,12 @@ from typing import Any
 from service.doa.orientation import Orientation
 from service.errors import DoaError
 from service.protocol import MAX_MESSAGE_BYTES
-from service.protocol.client_messages import OutputOptions
+from service.protocol.client_messages import OutputOptions, Start
 from service.protocol.close_codes import CloseCode
 from service.protocol.server_messages import (
     Closing,
     Limits,
+    NoiseInUse,
     OdasSsl,
     OdasSst,
     Ready,
@@ -23,14 +24,19 @@ from service.protocol.server_messages import (
     StreamError,
     StreamWarning,
     Summary,
+    Timing,
     WarningCode,
 )
 from service.streaming.account import Account
 from service.streaming.answers import odas_potentials, odas_sources, odas_time_stamp, result_fields
 from service.streaming.intake import Gap
-from service.streaming.opening import CONVENTION, OpenedStream
 from service.streaming.pipeline import Estimate
+from service.streaming.work import Opened
 
+CONVENTION = (
+    "azimuth in degrees in [0, 360), counter-clockwise from +x; x forward, y left, z up; "
+    "output.yaw_deg is added"
+)
 STATS_S = 5.0
 """Seconds of audio between ``stats``"""
 WARNING_S = 1.0
@@ -70,26 +76,38 @@ class Reporter:
         self._sequence += 1
 
     def ready(
-        self, session: str, opened: OpenedStream, output: OutputOptions, limits: SessionLimits
+        self,
+        session: str,
+        opened: Opened,
+        start: Start,
+        limits: SessionLimits,
     ) -> None:
         """Say what is in effect."""
-        buffer_ms = round(1000 * limits.buffer_s) + output.interval_ms
+        interval_ms = start.output.interval_ms
+        noise = None
+        if opened.noise_s is not None and start.client is not None:
+            noise = NoiseInUse(name=start.client, seconds=round(opened.noise_s, 3))
         self.emit(
             Ready,
             session=session,
             model=opened.model,
-            method=opened.plan.method,
+            method=opened.method,
             array=opened.array,
-            channel_map=list(opened.plan.channel_map),
+            channel_map=list(opened.channel_map),
             convention=CONVENTION,
-            timing=opened.timing(output.interval_ms),
+            timing=Timing(
+                interval_ms=interval_ms,
+                window_ms=round(1000 * opened.window_s, 1),
+                algorithmic_latency_ms=round(1000 * opened.frame_s + interval_ms / 2, 1),
+                sample_rate=opened.sample_rate,
+            ),
             limits=Limits(
                 max_message_bytes=MAX_MESSAGE_BYTES,
-                buffer_ms=buffer_ms,
+                buffer_ms=round(1000 * limits.buffer_s) + interval_ms,
                 idle_timeout_s=limits.idle_timeout_s,
                 max_session_s=limits.max_session_s,
             ),
-            noise=opened.noise,
+            noise=noise,
         )
         for warning in opened.warnings:
             self.warn(warning.code, warning.detail)

@@ -1,4 +1,4 @@
-"""A session as a state machine without I/O: messages in, messages out, work for a thread between.
+"""A session as a state machine without I/O: messages in, messages out, work in between.
 
 States
 ------
@@ -7,20 +7,17 @@ opening : ``start`` was valid; the first work builds the pipeline, audio waits m
 running : every work takes the audio up to the next result.
 closed : ``close_code`` is set; nothing is taken any more.
 
-The owner calls ``receive_text`` and ``receive_bytes``, runs what ``take_work`` gives in a thread,
-calls ``work_done`` after it, and sends what the reporter is given. Results depend on the audio and
-the order of the messages alone: neither on how the audio is split nor on the time.
+The owner calls ``receive_text`` and ``receive_bytes``, has done what ``take_work`` gives, calls
+``work_done`` with what came of it, and sends what the reporter is given. Results depend on the
+audio and the order of the messages alone: neither on how the audio is split nor on the time.
 """
 
 from __future__ import annotations
 
-import logging
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal
 
-from service.doa.diagnostics import Finding
+from service.doa.whitening import NoiseCovariance
 from service.errors import (
     AudioBeforeStart,
     DoaError,
@@ -29,7 +26,9 @@ from service.errors import (
     NoiseStoreFull,
     SessionLimit,
     StreamTimeout,
+    UnknownNoise,
 )
+from service.inference.noise_store import NoiseStore
 from service.protocol import MAX_MESSAGE_BYTES
 from service.protocol.client_messages import (
     Calibrate,
@@ -43,31 +42,25 @@ from service.protocol.client_messages import (
 )
 from service.protocol.close_codes import CloseCode
 from service.protocol.server_messages import Calibrated, Flushed, Pong
+from service.streaming.clock import StreamClock
 from service.streaming.intake import Intake
-from service.streaming.opening import OpenedStream
-from service.streaming.pipeline import Step
 from service.streaming.reporter import Reporter, SessionLimits
-
-log = logging.getLogger(__name__)
+from service.streaming.work import (
+    Advance,
+    Advanced,
+    Check,
+    Checked,
+    Failed,
+    Open,
+    Opened,
+    Outcome,
+)
 
 MAX_COMMANDS = 1000
 """Control messages that wait for the audio before them"""
-UNEXPECTED = "the service failed on this stream; its log says why: please report it"
 
 State = Literal["waiting", "opening", "running", "closed"]
 Command = Update | Flush | Calibrate | Stop
-
-
-@dataclass(slots=True)
-class _Outcome:
-    """What one work gave; filled in by the thread."""
-
-    command: Flush | Stop | None = None
-    opened: OpenedStream | None = None
-    step: Step | None = None
-    keeping_error: DoaError | None = None
-    """Why a calibration could not be kept beyond the session"""
-    error: Exception | None = None
 
 
 class Session:
@@ -76,10 +69,10 @@ class Session:
     Parameters
     ----------
     session_id : str
-    open_stream : callable
-        Builds the pipeline of a ``start``; runs in a thread, as all work does.
     reporter : Reporter
         Takes every message to the client, in order.
+    noise : NoiseStore
+        The calibrations that are kept.
     now : float
         Seconds of a monotonic clock, as in all calls.
     """
@@ -87,8 +80,8 @@ class Session:
     def __init__(
         self,
         session_id: str,
-        open_stream: Callable[[Start], OpenedStream],
         reporter: Reporter,
+        noise: NoiseStore,
         limits: SessionLimits,
         now: float,
     ) -> None:
@@ -96,18 +89,19 @@ class Session:
         self.state: State = "waiting"
         self.close_code: CloseCode | None = None
         self.start: Start | None = None
-        self.opened: OpenedStream | None = None
         self.output = OutputOptions()
-        self._open_stream = open_stream
         self._report = reporter
+        self._noise = noise
         self._limits = limits
         self._intake: Intake | None = None
         self._commands: deque[tuple[int, Command]] = deque()
         """With the sample frames received before each"""
-        self._outcome: _Outcome | None = None
-        """Of the work under way"""
-        self._findings: list[Finding] | None = None
-        """Of the check under way"""
+        self._clock: StreamClock | None = None
+        self._calibrate_s: float | None = None
+        """To begin with the next audio"""
+        self._working: Flush | Stop | Literal["opening", "audio"] | None = None
+        """What the work under way is for"""
+        self._check: Literal["due", "running"] | None = None
         self._draining = False
         self._began = self._heard = now
 
@@ -184,70 +178,55 @@ class Session:
             return 0.0
         return self._intake.buffer.frames / self.start.audio.sample_rate
 
-    def take_work(self) -> Callable[[], None] | None:
-        """What to run in a thread now, or None; one at a time, ``work_done`` after it."""
-        if self._outcome is not None or self.state in ("waiting", "closed"):
+    def take_work(self) -> Open | Advance | None:
+        """What is to be done now, or None; one at a time, ``work_done`` after it."""
+        if self._working is not None or self.state in ("waiting", "closed"):
             return None
-        if self.state == "opening":
-            assert self.start is not None
-            return self._opening(self.start)
-        assert self.opened is not None
+        assert self.start is not None
         assert self._intake is not None
+        if self.state == "opening":
+            self._working = "opening"
+            return Open(self.id, self.start, self._kept_noise(self.start))
+        assert self._clock is not None
         while self._commands:
-            needed = self.opened.pipeline.frames_needed(self.output.interval_ms)
+            needed = self._clock.frames_needed(self.output.interval_ms)
             before = self._commands[0][0] - self._intake.removed
             if before > 0:
-                return self._step(min(before, needed))
+                return self._advance(min(before, needed), "audio")
             command = self._commands.popleft()[1]
             if isinstance(command, Flush | Stop):
-                return self._step(0, command)
+                return self._advance(0, command)
             self._apply(command)
-        needed = self.opened.pipeline.frames_needed(self.output.interval_ms)
-        return self._step(needed) if self._intake.buffer.frames >= needed else None
+        needed = self._clock.frames_needed(self.output.interval_ms)
+        return self._advance(needed, "audio") if self._intake.buffer.frames >= needed else None
 
-    def work_done(self, now: float) -> None:
-        """Take in what the work gave."""
-        outcome, self._outcome = self._outcome, None
-        assert outcome is not None
+    def work_done(self, outcome: Outcome, now: float) -> None:
+        """Take in what came of the work."""
+        purpose, self._working = self._working, None
         if self.state == "closed":
             return
-        if isinstance(outcome.error, DoaError):
+        if isinstance(outcome, Failed):
             self.fail(outcome.error)
-        elif outcome.error is not None:
-            log.error("session %s failed", self.id, exc_info=outcome.error)
-            self.fail(DoaError(UNEXPECTED))
-        elif outcome.opened is not None:
-            self.opened, self.state = outcome.opened, "running"
-            self._report.ready(self.id, outcome.opened, self.output, self._limits)
-        else:
-            self._stepped(outcome, now)
+        elif isinstance(outcome, Opened):
+            assert self.start is not None
+            self.state, self._clock = "running", outcome.clock
+            self._report.ready(self.id, outcome, self.start, self._limits)
+        elif isinstance(outcome, Advanced):
+            self._advanced(outcome, purpose, now)
 
-    def take_check(self) -> Callable[[], None] | None:
-        """A look at the channels to run in a thread of little priority, or None.
-
-        It may run beside a work, one at a time; ``check_done`` after it.
-        """
-        if self._findings is not None or self.opened is None or self.state != "running":
+    def take_check(self) -> Check | None:
+        """A look at the channels that may be done beside other work, or None."""
+        if self._check != "due" or self.state != "running":
             return None
-        diagnostics = self.opened.pipeline.diagnostics
-        if not diagnostics.due():
-            return None
-        findings = self._findings = []
+        self._check = "running"
+        return Check(self.id)
 
-        def check() -> None:
-            try:
-                findings.extend(diagnostics.check())
-            except Exception:  # a broken check must not end a stream
-                log.exception("the diagnostics of session %s failed", self.id)
-
-        return check
-
-    def check_done(self) -> None:
+    def check_done(self, outcome: Outcome) -> None:
         """Warn of what the check found."""
-        findings, self._findings = self._findings, None
-        if self.state == "closed":
+        self._check = None
+        if self.state == "closed" or not isinstance(outcome, Checked):
             return
-        for finding in findings or ():
+        for finding in outcome.findings:
             self._report.warn(finding.code, finding.detail, channels=finding.channels)
 
     def _control(
@@ -296,67 +275,70 @@ class Session:
         seconds = self._limits.buffer_s + self.output.interval_ms / 1000
         return round(seconds * start.audio.sample_rate)
 
-    def _opening(self, start: Start) -> Callable[[], None]:
-        outcome = self._outcome = _Outcome()
+    def _kept_noise(self, start: Start) -> NoiseCovariance | None:
+        """The calibration kept for the client, unless it wants none or has none."""
+        if start.client is None or start.noise == "none":
+            return None
+        try:
+            return self._noise.get(start.client).noise
+        except UnknownNoise:
+            return None
 
-        def work() -> None:
-            try:
-                outcome.opened = self._open_stream(start)
-            except Exception as error:
-                outcome.error = error
-
-        return work
-
-    def _step(self, frames: int, command: Flush | Stop | None = None) -> Callable[[], None]:
-        assert self.opened is not None
+    def _advance(self, frames: int, purpose: Flush | Stop | Literal["audio"]) -> Advance:
         assert self._intake is not None
-        outcome = self._outcome = _Outcome(command)
-        opened, output = self.opened, self.output
+        self._working = purpose
+        calibrate_s, self._calibrate_s = self._calibrate_s, None
         pieces = self._intake.buffer.take(frames)
+        final = purpose != "audio"
+        return Advance(self.id, pieces, self.output, final, calibrate_s)
 
-        def work() -> None:
-            try:
-                step = opened.pipeline.step(pieces, output, final=command is not None)
-                outcome.step = step
-                if step.calibrated is not None and opened.keep_noise is not None:
-                    opened.keep_noise(step.calibrated)
-            except NoiseStoreFull as error:
-                outcome.keeping_error = error
-            except Exception as error:
-                outcome.error = error
-
-        return work
-
-    def _stepped(self, outcome: _Outcome, now: float) -> None:
-        step, final = outcome.step, outcome.command is not None
-        assert step is not None
-        if step.estimate is not None:
-            self._report.result(step.estimate, self.output, now, final=final)
-        if step.calibrated is not None:
-            assert self.start is not None
-            kept = None if outcome.keeping_error else self.start.client
-            self._report.emit(Calibrated, name=kept, seconds=round(step.calibrated.seconds, 3))
-        for error in (step.calibration_error, outcome.keeping_error):
-            if error is not None:
-                self._report.warn("calibration_failed", error.detail)
-        if isinstance(outcome.command, Flush):
+    def _advanced(
+        self,
+        outcome: Advanced,
+        purpose: Flush | Stop | Literal["opening", "audio"] | None,
+        now: float,
+    ) -> None:
+        self._clock = outcome.clock
+        if outcome.check_due and self._check is None:
+            self._check = "due"
+        if outcome.estimate is not None:
+            final = purpose != "audio"
+            self._report.result(outcome.estimate, self.output, now, final=final)
+        if outcome.calibrated is not None:
+            self._calibrated(outcome.calibrated)
+        if outcome.calibration_error is not None:
+            self._report.warn("calibration_failed", outcome.calibration_error)
+        if isinstance(purpose, Flush):
             self._report.emit(Flushed, t_end=round(self._report.account.t_end, 6))
-        elif isinstance(outcome.command, Stop):
+        elif isinstance(purpose, Stop):
             self._end()
+
+    def _calibrated(self, noise: NoiseCovariance) -> None:
+        assert self.start is not None
+        name = self.start.client
+        if name is not None:
+            try:
+                self._noise.put(name, noise)
+            except (NoiseStoreFull, OSError) as error:
+                self._report.warn(
+                    "calibration_failed",
+                    f"the noise is used, but kept for this stream only: {error}",
+                )
+                name = None
+        self._report.emit(Calibrated, name=name, seconds=round(noise.seconds, 3))
 
     def _apply(self, command: Update | Calibrate) -> None:
         if isinstance(command, Update):
             changed = command.output.model_dump(exclude_unset=True)
             self.output = self.output.model_copy(update=changed)
         else:
-            assert self.opened is not None
-            self.opened.pipeline.calibrate(command.seconds)
+            self._calibrate_s = command.seconds
 
     def _end(self) -> None:
         """Close in order, with the summary."""
         if self.state == "closed":
             return
-        if self.opened is not None:
+        if self._clock is not None:
             self._report.summary()
         if self._draining:
             code, detail = CloseCode.DRAINING, "the service is shutting down: connect again"
@@ -368,5 +350,4 @@ class Session:
     def _close(self, close_code: CloseCode) -> None:
         self.state, self.close_code = "closed", close_code
         self._commands.clear()
-        self.opened = None
         self._intake = None

@@ -93,6 +93,7 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
         assert field.description, name
         monkeypatch.setenv(variable(name), examples.get(name, "2048"))
     monkeypatch.setenv("NEURALMUSIC_WORKERS", "7")
+    monkeypatch.setenv("NEURALMUSIC_STREAM_WORKERS", "5")
     monkeypatch.setenv("NEURALMUSIC_THREADS", "3")
     monkeypatch.setenv("NEURALMUSIC_MAX_CHANNELS", "9")
     assert load_settings().model_dump() == {
@@ -108,6 +109,7 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
         "max_channels": 9,
         "max_sessions": 2048,
         "max_sessions_per_client": 2048,
+        "stream_workers": 5,
         "stream_buffer": 2.5,
         "idle_timeout": 2048.0,
         "max_session": 2048.0,

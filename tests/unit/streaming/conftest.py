@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.protocol.message import message_type
 from service.protocol.server_messages import ServerMessage
-from service.streaming.opening import open_stream
+from service.streaming.host import StreamHost
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session
 
@@ -46,6 +45,7 @@ class Driver:
     """One session whose work is done at once, or when ``work`` is called."""
 
     session: Session
+    host: StreamHost
     messages: list[dict[str, Any]] = field(default_factory=list)
     now: float = 0.0
     eager: bool = True
@@ -65,11 +65,13 @@ class Driver:
 
     def work(self) -> None:
         while (work := self.session.take_work()) is not None:
-            work()
-            self.session.work_done(self.now)
+            outcome = self.host.perform(work)
+            assert outcome is not None
+            self.session.work_done(outcome, self.now)
         while (check := self.session.take_check()) is not None:
-            check()
-            self.session.check_done()
+            checked = self.host.perform(check)
+            assert checked is not None
+            self.session.check_done(checked)
 
     def all(self, kind: str) -> list[dict[str, Any]]:
         return [message for message in self.messages if message["type"] == kind]
@@ -107,11 +109,11 @@ def new_session(registry: BundleRegistry, store: NoiseStore) -> NewSession:
 
         session = Session(
             "test",
-            partial(open_stream, registry=registry, store=store),
             Reporter(keep),
+            store,
             limits or SessionLimits(),
             now=0.0,
         )
-        return Driver(session, messages, eager=eager)
+        return Driver(session, StreamHost(registry), messages, eager=eager)
 
     return make

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 from service.protocol.close_codes import CloseCode
+from service.streaming.pipeline import StreamPipeline
 from service.streaming.reporter import SessionLimits
 
 from .conftest import NewSession, pcm, start
@@ -295,7 +296,7 @@ def test_ten_thousand_tiny_messages_are_ordinary_audio(new_session: NewSession) 
 
 
 def test_a_failing_pipeline_is_an_internal_error_and_no_traceback_for_the_client(
-    new_session: NewSession, caplog: pytest.LogCaptureFixture
+    new_session: NewSession, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     driver = new_session()
     driver.send(CLASSICAL)
@@ -303,8 +304,7 @@ def test_a_failing_pipeline_is_an_internal_error_and_no_traceback_for_the_client
     def fail(*_: Any, **__: Any) -> None:
         raise ZeroDivisionError("secret")
 
-    assert driver.session.opened is not None
-    driver.session.opened.pipeline.step = fail  # type: ignore[method-assign,assignment]
+    monkeypatch.setattr(StreamPipeline, "step", fail)
     driver.audio(SECOND)
     assert (driver.last["code"], driver.last["close_code"]) == ("internal", 1011)
     assert "secret" not in driver.last["detail"]

@@ -1,0 +1,29 @@
+"""When a stream's results are due, in samples of the analysis."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class StreamClock:
+    """How far a stream has come; sessions and pipelines count by the same clock."""
+
+    rate: int
+    """Hertz, of the analysis"""
+    ratio: float
+    """Sample frames of the stream per sample of the analysis"""
+    samples: float = 0.0
+    """Stream time up to which there is audio, in samples; missing audio counts"""
+    reported: float = -1.0
+    """Stream time of the last result in samples, negative before the first"""
+
+    def due(self, interval_ms: int) -> float:
+        """Stream time of the next result in samples: multiples of the interval."""
+        interval = interval_ms * self.rate / 1000
+        return (math.floor(max(self.reported, 0.0) / interval + 1e-9) + 1) * interval
+
+    def frames_needed(self, interval_ms: int) -> int:
+        """Sample frames of the stream until the next result is due."""
+        return max(1, math.ceil((self.due(interval_ms) - self.samples) * self.ratio))
