@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import suppress
 
-from fastapi import APIRouter, WebSocket
+from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
 from service.api.origins import check_origin
 from service.api.outbox import Outbox, message_json
@@ -12,6 +13,7 @@ from service.api.problems import problem_response
 from service.api.state import ServiceState
 from service.errors import DoaError, SubprotocolMissing, TooManySessions
 from service.protocol import SUBPROTOCOL
+from service.protocol.close_codes import CloseCode
 from service.protocol.server_messages import OdasSsl, OdasSst, Result, ServerMessage, Stats
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session
@@ -91,6 +93,8 @@ class Connection:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
             self.session.abandon()
+            with suppress(RuntimeError, WebSocketDisconnect):  # it is closed already
+                await self._websocket.close(CloseCode.TIMEOUT)
             self._worker.submit(Close(self.session.id))
             self._worker.sessions -= 1
             self._streams.end(self._entry)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import socket as socketlib
 import threading
 import time
 from collections.abc import AsyncIterator, Iterator
@@ -19,6 +18,8 @@ from running_service import RunningService
 from websockets.asyncio.client import ClientConnection, connect
 
 from service.api import stream as stream_api
+from service.app import create_app
+from service.inference.registry import BundleRegistry
 from service.settings import Settings
 
 PATIENCE = 30
@@ -45,7 +46,7 @@ def address(service: RunningService) -> str:
 
 @asynccontextmanager
 async def opened(service: RunningService, **options: Any) -> AsyncIterator[ClientConnection]:
-    arguments = {"subprotocols": ["doa.v1"], "compression": None, **options}
+    arguments = {"subprotocols": ["doa.v1"], "compression": None, "close_timeout": 1, **options}
     async with asyncio.timeout(PATIENCE), connect(address(service), **arguments) as socket:
         yield socket
 
@@ -168,10 +169,8 @@ def test_one_client_name_has_a_bounded_number_of_streams() -> None:
 
 
 def test_others_do_not_notice_one_who_floods_one_who_vanishes_and_one_who_never_reads(
-    service: RunningService, monkeypatch: pytest.MonkeyPatch
+    service: RunningService,
 ) -> None:
-    monkeypatch.setattr(stream_api, "SEND_TIMEOUT_S", 0.5)
-
     async def flood() -> None:
         async with opened(service) as socket:
             await started(socket)
@@ -184,38 +183,68 @@ def test_others_do_not_notice_one_who_floods_one_who_vanishes_and_one_who_never_
             await socket.send(SECOND[:65_536])
             socket.transport.abort()
 
-    async def never_read() -> None:
-        # The operating system would read megabytes in its place.
-        small = socketlib.socket()
-        small.setsockopt(socketlib.SOL_SOCKET, socketlib.SO_RCVBUF, 4096)
-        small.connect(("127.0.0.1", service.port))
-        async with opened(service, sock=small) as socket:
+    async def never_read(finished: asyncio.Event) -> None:
+        async with opened(service) as socket:
             await started(socket, output={"include": ["spectrum"], "interval_ms": 20})
             socket.transport.pause_reading()
-            with suppress(websockets.ConnectionClosed):
-                while True:  # until the service cuts it off
-                    await socket.send(SECOND[:6400])
+            await socket.send(SECOND[:65_536])
+            await finished.wait()
+            socket.transport.abort()
 
     async def robot() -> list[dict[str, Any]]:
         async with opened(service) as socket:
             await started(socket, overflow="block")
-            found = []
             for index in range(20):
                 await socket.send(SECOND[index * 6400 : (index + 1) * 6400])
-            for _ in range(10):
-                found.append(await until(socket, "result"))
-            return found
+            return [await until(socket, "result") for _ in range(10)]
 
     async def run() -> list[dict[str, Any]]:
+        finished = asyncio.Event()
         async with asyncio.TaskGroup() as group:
-            for each in (flood(), vanish(), never_read()):
+            for each in (flood(), vanish(), never_read(finished)):
                 group.create_task(each)
-            own = group.create_task(robot())
-        return own.result()
+            results = await robot()
+            finished.set()
+        return results
 
     results = asyncio.run(run())
     assert [round(r["t_end"], 3) for r in results] == pytest.approx(np.arange(1, 11) / 10)
     settle(service)
+
+
+class Deaf:
+    """A WebSocket whose client sends and never reads."""
+
+    def __init__(self) -> None:
+        self.sent = False
+        self.closed = False
+
+    async def receive(self) -> dict[str, Any]:
+        if self.sent:
+            await asyncio.Event().wait()
+        self.sent = True
+        return {"type": "websocket.receive", "text": '{"type":"ping"}'}
+
+    async def send_text(self, text: str) -> None:
+        await asyncio.Event().wait()
+
+    async def close(self, code: int) -> None:
+        self.closed = True
+
+
+def test_a_client_that_never_reads_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stream_api, "SEND_TIMEOUT_S", 0.05)
+    state = create_app(Settings(), BundleRegistry(())).state.service
+    deaf = Deaf()
+
+    async def run() -> None:
+        async with asyncio.timeout(PATIENCE):
+            await stream_api.Connection(deaf, state).run()  # type: ignore[arg-type]
+        await state.stream_workers.stop()
+
+    asyncio.run(run())
+    assert deaf.closed
+    assert state.streams.running == 0
 
 
 def settle(service: RunningService) -> None:
