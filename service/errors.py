@@ -16,13 +16,13 @@ DoaError
 │  └─ MissingAudio · UploadTooLarge · UnsupportedMediaType
 ├─ StreamProtocolError
 │  └─ InvalidMessage · AudioBeforeStart · MessageTooBig · StreamTimeout · SessionLimit ·
-│     TooManySessions · OriginRefused · SubprotocolMissing
+│     TooManySessions · OriginRefused · SubprotocolMissing · WorkerLost
 ├─ BundleError
 │  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed
-├─ CapacityError
-│  └─ Overloaded · WorkerLost · NotReady · Draining
-└─ ClientError                                (of service.client, never sent by the service)
-   └─ ServiceUnreachable · ServiceProblem ─ StreamRefused · StreamClosed
+└─ CapacityError
+   └─ Overloaded · NotReady · Draining
+
+``service.client.errors`` adds those of the clients.
 """
 
 from __future__ import annotations
@@ -281,6 +281,13 @@ class OriginRefused(StreamProtocolError):
     code, status, title, close_code = "origin_refused", 403, "Origin refused", 1008
 
 
+class WorkerLost(StreamProtocolError):
+    """The process that computed a stream ended."""
+
+    code, status, title, retryable = "worker_lost", 503, "Worker lost", True
+    close_code = 1011
+
+
 class BundleError(DoaError):
     """A model bundle cannot be used."""
 
@@ -324,13 +331,6 @@ class Overloaded(CapacityError):
     code, title = "overloaded", "Overloaded"
 
 
-class WorkerLost(CapacityError):
-    """The process that computed a stream ended."""
-
-    code, title = "worker_lost", "Worker lost"
-    close_code = 1011
-
-
 class NotReady(CapacityError):
     """The models are not loaded yet."""
 
@@ -342,63 +342,3 @@ class Draining(CapacityError):
 
     code, title = "draining", "Shutting down"
     close_code = 1012
-
-
-class ClientError(DoaError):
-    """A client of the service cannot go on."""
-
-    code, title = "client_failed", "The client cannot go on"
-
-
-class ServiceUnreachable(ClientError):
-    """Nothing answers at the address, or not in time."""
-
-    code, title, retryable = "unreachable", "Service unreachable", True
-
-
-class ServiceProblem(ClientError):
-    """The service said no: ``code``, ``title`` and ``detail`` are the service's own.
-
-    Parameters
-    ----------
-    code, title, detail : str
-        Of the problem document (RFC 9457), or of the stream's ``error`` or ``closing``.
-    status : int
-        HTTP status, or 0 where a stream was closed instead.
-    retryable : bool
-        True where the same request may succeed later.
-    close_code : int
-        WebSocket close code, or 0 where there was none.
-    retry_after_s : float, optional
-        Seconds that the service asks to wait.
-    """
-
-    code, title = "service_problem", "The service refused"
-
-    def __init__(
-        self,
-        code: str,
-        title: str,
-        detail: str,
-        status: int = 0,
-        retryable: bool = False,
-        *,
-        close_code: int = 0,
-        retry_after_s: float | None = None,
-    ) -> None:
-        super().__init__(detail)
-        self.code, self.title, self.status = code, title, status
-        self.retryable, self.close_code = retryable, close_code
-        self.retry_after_s = retry_after_s
-
-
-class StreamRefused(ServiceProblem):
-    """The service did not begin the session."""
-
-    code, title = "stream_refused", "Stream refused"
-
-
-class StreamClosed(ServiceProblem):
-    """The session has ended, or cannot be resumed."""
-
-    code, title = "stream_closed", "Stream closed"

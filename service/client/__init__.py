@@ -8,16 +8,16 @@ runs where there is neither numpy nor onnxruntime nor a web server. Install it w
 from service.client.async_stream import AsyncStreamClient
 from service.client.backoff import Backoff
 from service.client.connection import Timeouts
-from service.client.inbox import Reconnecting, StreamEvent
-from service.client.recordings import AsyncLocalizationClient, LocalizationClient
-from service.client.stream import StreamClient
-from service.errors import (
+from service.client.errors import (
     ClientError,
     ServiceProblem,
     ServiceUnreachable,
     StreamClosed,
     StreamRefused,
 )
+from service.client.inbox import Reconnecting, StreamEvent
+from service.client.recordings import AsyncLocalizationClient, LocalizationClient
+from service.client.stream import StreamClient
 
 __all__ = [
     "AsyncLocalizationClient",

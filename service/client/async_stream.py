@@ -22,9 +22,10 @@ from typing import Any, Self
 from service.client.addresses import stream_url
 from service.client.backoff import Backoff
 from service.client.connection import Timeouts, read_start
+from service.client.errors import ServiceUnreachable, StreamClosed
 from service.client.inbox import StreamEvent
 from service.client.sessions import Sessions, StreamOptions
-from service.errors import InvalidOption, ServiceUnreachable, StreamClosed
+from service.errors import InvalidOption
 from service.protocol.client_messages import (
     Calibrate,
     Flush,

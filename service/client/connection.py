@@ -24,13 +24,8 @@ from websockets.exceptions import (
 )
 from websockets.typing import Subprotocol
 
-from service.errors import (
-    InvalidMessage,
-    InvalidOption,
-    ServiceUnreachable,
-    StreamClosed,
-    StreamRefused,
-)
+from service.client.errors import ServiceUnreachable, StreamClosed, StreamRefused
+from service.errors import InvalidMessage, InvalidOption
 from service.protocol import SUBPROTOCOL
 from service.protocol.client_messages import Start, read_client_message
 from service.protocol.close_codes import RETRYABLE

@@ -20,7 +20,8 @@ from pydantic_core import to_jsonable_python
 
 from service.client.addresses import service_url
 from service.client.connection import RETRYABLE_STATUS, read_retry_after
-from service.errors import InvalidOption, ServiceProblem, ServiceUnreachable
+from service.client.errors import ServiceProblem, ServiceUnreachable
+from service.errors import InvalidOption
 
 Recording = str | Path | bytes | BinaryIO
 Answer = dict[str, Any]

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from service.client.audio import NANOSECONDS, frame_bytes, read_frames, split_frames
-from service.errors import StreamClosed
+from service.client.errors import StreamClosed
 from service.protocol.client_messages import AudioFormat
 from service.protocol.framing import FrameHeader
 

@@ -12,9 +12,9 @@ from websockets.exceptions import ConnectionClosed
 from service.client.audio import frame_bytes
 from service.client.backoff import Backoff
 from service.client.connection import Timeouts, closed_by, open_connection, read_known
+from service.client.errors import ServiceProblem, ServiceUnreachable, StreamClosed, StreamRefused
 from service.client.inbox import RESULTS, Inbox, Reconnecting
 from service.client.send_queue import SendQueue
-from service.errors import ServiceProblem, ServiceUnreachable, StreamClosed, StreamRefused
 from service.protocol.client_messages import Start
 from service.protocol.server_messages import Closing, Ready, Result, StreamError, Summary
 

@@ -9,6 +9,7 @@ from typing import get_args
 import pytest
 
 from model_export.results import BEGIN, END, Results
+from service.client import errors as client_errors  # noqa: F401  (part of the tree)
 from service.doa.diagnostics import FindingCode
 from service.errors import DoaError
 from service.inference.bundle import load_bundle, read_manifest

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 import yaml
 
+from service.client.errors import ClientError
 from service.errors import (
     BundleError,
-    ClientError,
     ConfigError,
     DoaError,
     NoiseCalibrationFailed,

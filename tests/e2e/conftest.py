@@ -27,6 +27,8 @@ ARGUMENTS = (
     "disable-audio-output",
 )
 DESKTOP = {"width": 1200, "height": 940}
+SCREENSHOTS = os.environ.get("SCREENSHOTS")
+MAX_PICTURE_BYTES = 200_000
 PATIENCE = 30_000  # milliseconds until a hanging test fails
 
 
@@ -46,7 +48,7 @@ def url() -> Iterator[str]:
             process.terminate()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")  # its event loop must be gone when other tests run theirs
 def chromium() -> Iterator[Any]:
     api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
     program = next(filter(None, map(shutil.which, BROWSERS)), None)
@@ -93,6 +95,14 @@ class Visit:
     def overflow(self) -> float:
         """Pixels by which the page is wider than the screen."""
         return float(self.page.evaluate("document.documentElement.scrollWidth - window.innerWidth"))
+
+
+def keep_picture(here: Visit, name: str) -> None:
+    """Write a picture for the documentation, where it was asked for."""
+    if SCREENSHOTS:
+        path = ROOT / SCREENSHOTS / f"{name}.png"
+        here.page.screenshot(path=path, animations="disabled")
+        assert path.stat().st_size < MAX_PICTURE_BYTES
 
 
 @pytest.fixture

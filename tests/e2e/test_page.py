@@ -8,7 +8,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,8 @@ import soundfile
 from service.doa.array import MicrophoneArray
 from service.doa.scoring import circular_error
 
+from .conftest import keep_picture
+
 expect = pytest.importorskip("playwright.sync_api", reason="needs playwright").expect
 
 Visits = Callable[..., Any]
@@ -29,8 +30,6 @@ ROOT = Path(__file__).parents[2]
 SAMPLE = ROOT / "examples" / "two-talkers.flac"
 TALKERS_DEG = (45.0, 200.0)
 PHONE = {"width": 390, "height": 844}
-SCREENSHOTS = os.environ.get("SCREENSHOTS")
-MAX_PICTURE_BYTES = 200_000
 
 
 def assert_azimuths(found: list[float], expected: tuple[float, ...], within: float = 5.0) -> None:
@@ -38,14 +37,6 @@ def assert_azimuths(found: list[float], expected: tuple[float, ...], within: flo
     errors = np.rad2deg(circular_error(np.deg2rad(found)[:, None], np.deg2rad(expected)))
     assert len(found) == len(expected), found
     assert errors.min(axis=0).max() <= within, found
-
-
-def keep_picture(here: Any, name: str) -> None:
-    """Write a picture for the documentation, where it was asked for."""
-    if SCREENSHOTS:
-        path = ROOT / SCREENSHOTS / f"{name}.png"
-        here.page.screenshot(path=path, animations="disabled")
-        assert path.stat().st_size < MAX_PICTURE_BYTES
 
 
 def settle(here: Any) -> None:
