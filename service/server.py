@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import socket
 from collections.abc import Callable
 from contextlib import suppress
@@ -66,8 +67,14 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
     Server(server_config(app, settings), app.state.service, announce).run()
 
 
+def quiet_refusals(record: logging.LogRecord) -> bool:
+    """uvicorn takes a handshake that was refused with a response for one that was forgotten."""
+    return "returned without completing handshake" not in record.getMessage()
+
+
 def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
     """How uvicorn runs the application."""
+    logging.getLogger("uvicorn.error").addFilter(quiet_refusals)
     return uvicorn.Config(
         app,
         host=settings.host,

@@ -86,8 +86,11 @@ def refusal(service: RunningService, **options: Any) -> tuple[int, dict[str, Any
     return asyncio.run(attempt())
 
 
-def test_a_handshake_without_the_subprotocol_is_a_problem(service: RunningService) -> None:
+def test_a_handshake_without_the_subprotocol_is_a_problem_and_no_error_of_the_server(
+    service: RunningService, caplog: pytest.LogCaptureFixture
+) -> None:
     status, problem, headers = refusal(service, subprotocols=None)
+    assert not caplog.records
     assert (status, problem["code"]) == (400, "subprotocol_missing")
     assert headers["content-type"] == "application/problem+json"
 
