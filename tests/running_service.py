@@ -25,7 +25,7 @@ class RunningService:
     def __init__(self, port: int = 0, settings: Settings | None = None) -> None:
         settings = settings or Settings(workers=1)
         settings = settings.model_copy(update={"port": port, "log_level": "error"})
-        app = create_app(settings)
+        app = self._app = create_app(settings)
         started = threading.Event()
         config = server_config(app, settings)
         self._server = Server(config, app.state.service, lambda _: started.set())
@@ -34,6 +34,11 @@ class RunningService:
         assert started.wait(TIMEOUT_S)
         self.port: int = self._server.servers[0].sockets[0].getsockname()[1]
         self.url = f"http://127.0.0.1:{self.port}"
+
+    @property
+    def worker_pids(self) -> list[int]:
+        """Of the processes that compute streams."""
+        return self._app.state.service.stream_workers.pids
 
     def stop(self) -> None:
         self._server.should_exit = True

@@ -77,21 +77,25 @@ class StreamWorker:
         else:
             self._writer.write(message)
 
+    @property
+    def pid(self) -> int | None:
+        """Of the process, once it was started."""
+        return self._process.pid if self._process else None
+
     async def stop(self) -> None:
         """End the process."""
         self.lost = True
+        if self._writer is not None:
+            self._writer.close()
         if self._reading is not None:
-            self._reading.cancel()
             await asyncio.gather(self._reading, return_exceptions=True)
-        if self._process is not None:
-            await asyncio.to_thread(_end, self._process)
 
     async def _read(self, connection: socket.socket) -> None:
         reader, self._writer = await asyncio.open_unix_connection(sock=connection)
         self._writer.writelines(self._unsent)
         self._unsent.clear()
         try:
-            while True:
+            while not self.lost:
                 (length,) = HEADER.unpack(await reader.readexactly(HEADER.size))
                 number, outcome = pickle.loads(await reader.readexactly(length))
                 if number == 0:
@@ -106,9 +110,13 @@ class StreamWorker:
             self._writer.close()
             with suppress(OSError):
                 await self._writer.wait_closed()
+            if self._process is not None:
+                await asyncio.to_thread(_end, self._process)
 
     def _lose(self) -> None:
-        log.error("a stream worker ended: its streams are closed, clients connect again")
+        if self.lost:
+            return  # it was asked to end
+        log.error("stream worker %s ended: its streams are closed, clients connect again", self.pid)
         self.lost = True
         self.ready.set()
         waiting, self._waiting = self._waiting, {}
@@ -145,6 +153,11 @@ class StreamWorkers:
             worker.start()
             self._workers.append(worker)
         return min(self._workers, key=lambda each: each.sessions)
+
+    @property
+    def pids(self) -> list[int]:
+        """Of the running processes."""
+        return [worker.pid for worker in self._workers if worker.pid and not worker.lost]
 
     async def start(self) -> None:
         """Start the first worker and wait until it is ready."""

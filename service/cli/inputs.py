@@ -33,6 +33,16 @@ def add_recording(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_array(parser: argparse.ArgumentParser) -> None:
+    """The required ``--array``."""
+    parser.add_argument(
+        "--array",
+        required=True,
+        metavar="NAME|JSON|@FILE",
+        help="the microphone array: a preset (neuralmusic arrays), or JSON with positions_m",
+    )
+
+
 def open_recording(path: Path) -> Recording:
     """Open a file with generous limits."""
     from service.audio import AudioLimits, Recording

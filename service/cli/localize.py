@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from service.cli.inputs import add_recording, array_text, open_recording
+from service.cli.inputs import add_array, add_recording, array_text, open_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,12 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     from service.inference.results import METHODS
 
     add_recording(parser)
-    parser.add_argument(
-        "--array",
-        required=True,
-        metavar="NAME|JSON|@FILE",
-        help="the microphone array: a preset (neuralmusic arrays), or JSON with positions_m",
-    )
+    add_array(parser)
     parser.add_argument("--method", choices=METHODS, help="neural where a model fits the array")
     parser.add_argument("--model", metavar="NAME", help="the model bundle")
     parser.add_argument(

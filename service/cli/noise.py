@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from service.cli.inputs import add_recording, choose_channels, open_recording, read_array
+from service.cli.inputs import add_array, add_recording, choose_channels, open_recording, read_array
 from service.cli.terminal import line, output
 
 NAME = "noise"
@@ -14,12 +14,7 @@ SUMMARY = "learn the noise of the robot's own fans and motors, for localize --no
 
 def configure(parser: argparse.ArgumentParser) -> None:
     add_recording(parser)
-    parser.add_argument(
-        "--array",
-        required=True,
-        metavar="NAME|JSON|@FILE",
-        help="the microphone array: a preset (neuralmusic arrays), or JSON with positions_m",
-    )
+    add_array(parser)
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="NPZ", help="the profile to write"
     )

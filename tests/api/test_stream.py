@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import signal
 import threading
 import time
 from collections.abc import AsyncIterator, Iterator
@@ -344,3 +346,34 @@ def test_a_stopping_service_says_goodbye_and_takes_nobody_new() -> None:
     kinds, closing, close_code = asyncio.run(run())
     assert kinds[-2:] == ["summary", "closing"]
     assert (closing["code"], close_code) == ("draining", 1012)
+
+
+def test_streams_of_a_worker_that_dies_are_closed_and_the_next_ones_run() -> None:
+    running = RunningService(settings=Settings(workers=1, stream_workers=1))
+
+    async def run() -> tuple[dict[str, Any], int | None, dict[str, Any]]:
+        async with opened(running) as first:
+            await started(first)
+            (pid,) = running.worker_pids
+            os.kill(pid, signal.SIGKILL)
+            await first.send(SECOND[:65_536])
+            last, close_code = await end(first)
+        async with opened(running) as second:
+            await started(second)
+            await second.send(SECOND[:65_536])
+            return last, close_code, await until(second, "result")
+
+    try:
+        last, close_code, result = asyncio.run(run())
+    finally:
+        running.stop()
+    assert (last["code"], last["retryable"], close_code) == ("worker_lost", True, 1011)
+    assert result["t_end"] == pytest.approx(0.1)
+
+
+def test_workers_end_with_the_service() -> None:
+    running = RunningService(settings=Settings(workers=1, stream_workers=1))
+    (pid,) = running.worker_pids
+    running.stop()
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import soundfile
+from command_line import refusal, run
 from fastapi.testclient import TestClient
 
 import service.cli.arrays
@@ -57,21 +58,6 @@ def talker(tmp_path: Path) -> str:
 @pytest.fixture
 def moving(tmp_path: Path) -> str:
     return write(tmp_path / "moving.wav", bursts([10, 100, 200, 250, 330, 45, 160, 290]))
-
-
-def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
-    code = main(argv)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
-
-
-def refusal(capsys: pytest.CaptureFixture[str], *argv: str) -> str:
-    """The one line on standard error of a command that fails."""
-    code, out, err = run(capsys, *argv)
-    assert (code, out) == (2, "")
-    assert err.startswith("error: ")
-    assert err.count("\n") == 1
-    return err
 
 
 def test_the_version_and_every_command_are_shown(capsys: pytest.CaptureFixture[str]) -> None:
