@@ -223,7 +223,10 @@ class StreamPipeline:
         self._reported = end
         t_end = end / self._rate
         found = [Detection(source.azimuth, source.confidence) for source in heard]
-        tracks = sorted(self._tracker.update(found, t_end), key=lambda track: -track.confidence)
+        followed = self._tracker.update(found, t_end)
+        # A track may coast into an excluded sector.
+        tracks = [track for track in followed if not orientation.excludes(track.azimuth)]
+        tracks.sort(key=lambda track: -track.confidence)
         return Estimate(
             t_start=max(0.0, t_end - self.window_s),
             t_end=t_end,

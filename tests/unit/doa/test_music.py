@@ -12,7 +12,13 @@ from service.doa.covariance import diagonal_loading, sample_covariance
 from service.doa.peaks import circular_difference, find_peaks
 from service.doa.steering import azimuth_grid, steering_vectors
 from service.doa.stft import Stft
-from service.doa.subspace import music_spectrum, noise_projector, signal_power, signal_subspace
+from service.doa.subspace import (
+    music_spectrum,
+    noise_projector,
+    principal_eigenvector,
+    signal_power,
+    signal_subspace,
+)
 from service.doa.types import ComplexArray, FloatArray
 from service.errors import TooManySources
 
@@ -130,3 +136,27 @@ def test_srp_phat_finds_a_delayed_noise() -> None:
     response = classical.srp_phat(cross, steering)
     assert np.rad2deg(find_peaks(response, 1)[0].azimuth) == pytest.approx(217.0, abs=0.2)
     assert 0.95 < response.max() <= 1.0 + 1e-5
+
+
+@pytest.mark.parametrize("microphones", [2, 4, 8, 16])
+def test_the_principal_eigenvector_is_lapacks(microphones: int) -> None:
+    """Where the two largest eigenvalues differ by a fifth or more; the share always."""
+    rng = np.random.default_rng(3)
+    shape = (300, microphones, microphones)
+    unitary, _ = np.linalg.qr(rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+    values = np.sort(rng.uniform(0, 0.8, shape[:2]), axis=-1)
+    values[:, -1] = 1.0
+    covariance = ((unitary * values[:, None, :]) @ np.conj(np.swapaxes(unitary, 1, 2))).astype(
+        np.complex64
+    )
+    vector, share = principal_eigenvector(covariance)
+    alignment = np.abs(np.sum(np.conj(vector) * unitary[:, :, -1], axis=-1))
+    assert np.linalg.norm(vector, axis=-1) == pytest.approx(1, abs=1e-5)
+    assert alignment.min() > 1 - 1e-5
+    assert share == pytest.approx(1 / values.sum(axis=-1), rel=1e-4)
+
+
+def test_the_principal_eigenvector_of_nothing_is_finite() -> None:
+    vector, share = principal_eigenvector(np.zeros((2, 4, 4), np.complex64))
+    assert np.isfinite(vector).all()
+    assert (share == 0).all()

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.signal
+from hypothesis import given
+from hypothesis import strategies as st
 
-from service.doa.stft import Stft
+from service.doa.stft import Stft, StreamingStft
 
 
 def test_agrees_with_scipy() -> None:
@@ -42,3 +44,16 @@ def test_frames_and_samples_are_inverse(frames: int) -> None:
     stft = Stft()
     assert stft.num_frames(stft.num_samples(frames)) == frames
     assert stft.num_frames(stft.num_samples(frames) - 1) == frames - 1
+
+
+@given(sizes=st.lists(st.integers(0, 1200), max_size=12))
+def test_any_split_of_the_audio_gives_the_same_frames(sizes: list[int]) -> None:
+    stft = Stft()
+    audio = np.random.default_rng(1).standard_normal((2, sum(sizes))).astype(np.float32)
+    streaming = StreamingStft(stft, 2)
+    pieces = np.split(audio, np.cumsum(sizes)[:-1], axis=1) if sizes else []
+    found = [streaming.push(piece) for piece in pieces]
+    frames = np.concatenate(found, axis=-1) if found else np.zeros((2, 257, 0))
+    assert frames.shape[-1] == stft.num_frames(audio.shape[1])
+    if frames.shape[-1]:
+        assert np.array_equal(frames, stft.transform(audio))
