@@ -16,10 +16,10 @@ from service.doa.stft import Stft, StreamingStft
 from service.doa.tracking import Detection, Track, Tracker
 from service.doa.types import ComplexArray, FloatArray
 from service.doa.whitening import NoiseCovariance, NoiseEstimator
-from service.errors import NoiseCalibrationFailed
+from service.errors import InvalidOption, NoiseCalibrationFailed
 from service.inference.bundle import Bundle
 from service.inference.results import SILENCE, Method, Source, WindowEstimate
-from service.inference.stream import stream_localizer_of
+from service.inference.stream import StreamLocalizer, stream_localizer_of
 from service.protocol.client_messages import AudioFormat, OutputOptions
 from service.protocol.framing import SAMPLE_BYTES
 from service.protocol.server_messages import WhyNoSource
@@ -107,9 +107,7 @@ class StreamPipeline:
         """Forget all audio, keep the tracks and the time."""
         plan = self._plan
         microphones = plan.array.num_microphones
-        self._localizer = stream_localizer_of(
-            plan.method, plan.bundle, plan.array, plan.stft, self._noise
-        )
+        self._localizer = self._localizer_with(self._noise)
         self._resampler = None
         if plan.audio.sample_rate != self._rate:
             self._resampler = soxr.ResampleStream(
@@ -123,6 +121,10 @@ class StreamPipeline:
         """Spectra since the last estimate"""
         self._energies: deque[tuple[int, float]] = deque()
         """Samples and summed squares of the latest audio, a window of it"""
+
+    def _localizer_with(self, noise: NoiseCovariance | None) -> StreamLocalizer:
+        plan = self._plan
+        return stream_localizer_of(plan.method, plan.bundle, plan.array, plan.stft, noise)
 
     def _begin_anew(self) -> None:
         self._offset = self.stream_samples
@@ -160,11 +162,13 @@ class StreamPipeline:
             return Step(estimate)
         estimator, self._calibration = self._calibration.estimator, None
         try:
-            self._noise = estimator.finish()
-        except NoiseCalibrationFailed as error:
+            noise = estimator.finish()
+            self._localizer_with(noise)
+        except (NoiseCalibrationFailed, InvalidOption) as error:
             return Step(estimate, calibration_error=error.detail)
+        self._noise = noise
         self._begin_anew()
-        return Step(estimate, self._noise)
+        return Step(estimate, noise)
 
     def calibrate(self, seconds: float) -> None:
         """Learn the noise from the next ``seconds`` of audio; not while a step runs."""

@@ -291,3 +291,21 @@ def test_the_noise_of_the_robot_is_learnt_kept_and_whitened_away(
     ignoring = new_session()
     ignoring.send(start(client="robot-1", noise="none"))
     assert ignoring.only("ready")["noise"] is None
+
+
+@pytest.mark.parametrize(
+    ("model", "noise", "words"), [("paper", 0.01, "paper"), ("default", 0.0, "silent")]
+)
+def test_a_calibration_that_cannot_be_is_a_warning_and_the_stream_goes_on(
+    model: str, noise: float, words: str, new_session: NewSession, store: NoiseStore
+) -> None:
+    audio = noise * np.random.default_rng(0).standard_normal((4, 2 * RATE))
+    driver = new_session()
+    driver.send(start(model=model, client="robot", output={"interval_ms": 500}))
+    driver.send({"type": "calibrate", "kind": "noise", "seconds": 1})
+    driver.audio(pcm(audio))
+    warning = driver.only("warning")
+    assert warning["code"] == "calibration_failed"
+    assert words in warning["detail"]
+    assert [result["t_end"] for result in driver.all("result")] == pytest.approx([0.5, 1, 1.5, 2])
+    assert not store.all()
