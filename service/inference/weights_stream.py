@@ -45,9 +45,11 @@ parabola through three angles does the rest"""
 PAIRED_APERTURE = 0.3
 """Metres; over smaller arrays the phase differs by less than 10 degrees between neighbouring bins,
 so that two of them can share one covariance: 18 % less to compute, the errors 0.1 degrees larger"""
-WINDOW_BLOCKS = 5
-"""Blocks of a result, the open ones among them: 0.51 to 0.64 s. Shorter ones count worse, longer
-ones smear a moving talker"""
+RECENCY = (1.0, 1.0, 1.0, 0.6, 0.3)
+"""What the blocks of a result count, newest first; 0.51 to 0.66 s with the open ones. Counting all
+five alike finds two who stand 1 % more often and follows one who walks 1.4 degrees worse; four
+blocks follow better still, but take the onset of sensor noise for a talker"""
+WINDOW_BLOCKS = len(RECENCY)
 
 
 class NetworkStream:
@@ -142,7 +144,7 @@ class WeightsStream:
             self._attention = self._attention[:, BLOCK_FRAMES:]
 
     def estimate(self, num_sources: int | None, max_sources: int) -> WindowEstimate:
-        """Directions of the last half second; at least one frame must have been pushed."""
+        """Directions of the last blocks; at least one frame must have been pushed."""
         starts = range(0, self._open.shape[-1], BLOCK_FRAMES)
         opened = [self._block(slice(start, start + BLOCK_FRAMES)) for start in starts]
         blocks = [*self._closed, *opened][-WINDOW_BLOCKS:]
@@ -165,10 +167,12 @@ class WeightsStream:
         return self._search.cell_spectra(principal)[:, 0], dominance[:, 0]
 
     def _candidates(self, blocks: Sequence[_Block]) -> Candidates:
-        whole = np.sum([block.covariance for block in blocks], axis=0)
+        recency = np.array(RECENCY[: len(blocks)][::-1], dtype=np.float32)
+        pairs = list(zip(blocks, recency, strict=True))
+        whole = np.sum([block.covariance * counts for block, counts in pairs], axis=0)
         cells, dominance = self._spectrum(whole[:, None])
         return self._search.found(
             np.stack([*(block.cells for block in blocks), cells], axis=1),
-            np.stack([block.attention for block in blocks], axis=1),
+            np.stack([block.attention * counts for block, counts in pairs], axis=1),
             np.stack([*(block.dominance for block in blocks), dominance], axis=1),
         )
