@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 HOST := $(or $(NEURALMUSIC_HOST),127.0.0.1)
 PORT := $(or $(NEURALMUSIC_PORT),8000)
 
-.PHONY: help install run test lint types format bench openapi clean
+.PHONY: help install run test lint types format bench contracts clean
 
 help:
 	@echo "make run      install and start the service with its embedded model (no torch)"
@@ -15,7 +15,7 @@ help:
 	@echo "make types    mypy, strict on service/"
 	@echo "make format   let ruff format and fix"
 	@echo "make bench    time every stage against pyroomacoustics"
-	@echo "make openapi  write openapi.yaml from the application"
+	@echo "make contracts  write openapi.yaml, asyncapi.json and docs/protocol.md's tables"
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -55,8 +55,10 @@ format: install
 bench: install
 	$(BIN)/neuralmusic bench
 
-openapi: install
+contracts: install
 	$(BIN)/python -m service.openapi > openapi.yaml
+	$(BIN)/python -m service.asyncapi > asyncapi.json
+	$(BIN)/python -m service.asyncapi docs/protocol.md
 
 clean:
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache build dist
