@@ -44,7 +44,7 @@ async def stream(websocket: WebSocket) -> None:
     except DoaError as error:
         await websocket.send_denial_response(problem_response(error))
         return
-    await websocket.accept(subprotocol=SUBPROTOCOL)
+    # It takes its place before it is accepted, so that two cannot take the last one.
     await Connection(websocket, state).run()
 
 
@@ -60,7 +60,7 @@ def _check_handshake(websocket: WebSocket, state: ServiceState) -> None:
 
 
 class Connection:
-    """Moves messages between a WebSocket, a session and the worker threads."""
+    """Moves messages between a WebSocket, a session and the worker that computes it."""
 
     def __init__(self, websocket: WebSocket, state: ServiceState) -> None:
         settings = state.settings
@@ -84,9 +84,11 @@ class Connection:
         self._entry = self._streams.add(self.session, reporter, self.pump)
 
     async def run(self) -> None:
-        """Serve until either side ends the session."""
-        tasks = [asyncio.create_task(each()) for each in (self._read, self._write, self._tick)]
+        """Accept the connection and serve it until either side ends the session."""
+        tasks: list[asyncio.Task[None]] = []
         try:
+            await self._websocket.accept(subprotocol=SUBPROTOCOL)
+            tasks += [asyncio.create_task(each()) for each in (self._read, self._write, self._tick)]
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
             for task in tasks:

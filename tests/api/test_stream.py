@@ -230,6 +230,9 @@ class Deaf:
         self.sent = True
         return {"type": "websocket.receive", "text": '{"type":"ping"}'}
 
+    async def accept(self, subprotocol: str) -> None:
+        assert subprotocol == "doa.v1"
+
     async def send_text(self, text: str) -> None:
         await asyncio.Event().wait()
 
