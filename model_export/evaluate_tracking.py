@@ -18,6 +18,7 @@ from model_export.datasets.speech import Split, librispeech, load
 from model_export.evaluate import SEEDS
 from model_export.false_sources import ARRAY
 from model_export.moving import MovingScene
+from model_export.real_streams import Estimates, real_tracks
 from model_export.track_scores import Tally, Update, score
 from model_export.tracking_report import document
 from model_export.tracking_scenes import CELLS, LEAD_S, noise_streams, simulate_stream
@@ -36,8 +37,6 @@ WINDOW_SAMPLES = Stft().num_samples(32)
 
 Detections = list[tuple[float, list[Detection]]]
 """By stream time in seconds"""
-Estimates = Callable[[FloatArray, float], Iterable[tuple[float, list[Detection]]]]
-"""Audio (N, T) at 16 kHz and an interval in seconds to what is heard at each moment"""
 
 
 def embedded_estimates() -> Estimates:
@@ -141,6 +140,9 @@ def main(argv: list[str] | None = None) -> int:
         prog="python -m model_export.evaluate_tracking", description=__doc__
     )
     parser.add_argument("--librispeech", type=Path, required=True, help="folder of utterances")
+    parser.add_argument(
+        "--recordings", type=Path, help="folder of real recordings of the array with labels.json"
+    )
     parser.add_argument("--split", choices=list(SEEDS), default="heldout", help="speakers")
     parser.add_argument("--out", type=Path, default=Path("docs/tracking.md"), help="document")
     arguments = parser.parse_args(argv)
@@ -148,9 +150,11 @@ def main(argv: list[str] | None = None) -> int:
     speech = load(librispeech(arguments.librispeech, split))
     if not speech:
         parser.error(f"{arguments.librispeech} holds no {split} utterances")
-    streams = list(simulate_streams(speech, SEEDS[split], embedded_estimates(), INTERVAL_S))
+    estimates = embedded_estimates()
+    real = real_tracks(arguments.recordings, estimates, INTERVAL_S) if arguments.recordings else {}
+    streams = list(simulate_streams(speech, SEEDS[split], estimates, INTERVAL_S))
     tracked = tally_streams(streams, follow)
-    arguments.out.write_text(document(tracked, tally_streams(streams, untracked), split))
+    arguments.out.write_text(document(tracked, tally_streams(streams, untracked), split, real))
     return 0
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from model_export.bars import Bar, judge
 from model_export.datasets.speech import Split
+from model_export.real_streams import RealTracks, real_table
 from model_export.results import SPLIT_WORDS
 from model_export.track_scores import Tally
 from model_export.tracking_scenes import CELLS, LEAD_S, NOISE_S, SNR_DB
@@ -22,7 +23,7 @@ PREFACE = """# Tracking
 Written by
 
 ```
-python -m model_export.evaluate_tracking --librispeech FOLDER
+python -m model_export.evaluate_tracking --librispeech FOLDER --recordings FOLDER
 ```
 
 The embedded bundle `any-array` localizes streams as the service does, ten times a second and the
@@ -42,6 +43,12 @@ cell. The first track is late against the first sample a tenth as loud as the lo
 come only with the next of ten results a second.
 """
 
+REAL = """## Real recordings
+
+Talkers who take turns and overlap before the same array in a room, one of them 45 degrees above it;
+who speaks when is not labelled (`--recordings FOLDER`).
+"""
+
 PEERS = """
 ODAS and NormMUSIC (pyroomacoustics, told that there are two talkers) were measured on two talkers
 of the same kind (room, distance, SNR, array, angles; 74 windows a cell, other sentences), so their
@@ -49,8 +56,13 @@ figures are bars and no comparison in the same run.
 """
 
 
-def document(tracked: Mapping[str, Tally], untracked: Mapping[str, Tally], split: Split) -> str:
-    """The text of ``docs/tracking.md``."""
+def document(
+    tracked: Mapping[str, Tally],
+    untracked: Mapping[str, Tally],
+    split: Split,
+    real: Mapping[str, RealTracks] | None = None,
+) -> str:
+    """The text of ``docs/tracking.md``; ``real`` are recordings that were followed, too."""
     words = {"tuned": SPLIT_WORDS["development"], "split": SPLIT_WORDS[split]}
     preface = PREFACE.format(**words, snr=SNR_DB, lead=LEAD_S)
     return "\n".join(
@@ -69,6 +81,7 @@ def document(tracked: Mapping[str, Tally], untracked: Mapping[str, Tally], split
             f"{NOISE_S:g} s each.",
             "",
             _noises(tracked, untracked),
+            *((REAL, real_table(real)) if real else ()),
         ]
     )
 
