@@ -23,11 +23,12 @@ from model_export.track_scores import Tally, Update, score
 from model_export.tracking_report import document
 from model_export.tracking_scenes import CELLS, LEAD_S, noise_streams, simulate_stream
 from service.doa.presets import preset
+from service.doa.silence import SILENCE
 from service.doa.stft import Stft, StreamingStft
 from service.doa.tracking import Detection, Track, Tracker, TrackerParameters
 from service.doa.types import FloatArray
 from service.inference.registry import BundleRegistry
-from service.inference.results import DEFAULT_MAX_SOURCES, SILENCE
+from service.inference.results import DEFAULT_MAX_SOURCES
 from service.inference.stream import stream_localizer_of
 
 INTERVAL_S = 0.1

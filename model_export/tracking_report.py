@@ -11,7 +11,7 @@ from model_export.results import SPLIT_WORDS
 from model_export.track_scores import Tally
 from model_export.tracking_scenes import CELLS, LEAD_S, NOISE_S, SNR_DB
 
-TRACKED, UNTRACKED = "tracks", "detections"
+TRACKED = "tracks"
 ODAS_COUNTS = (0.99, 1.00, 1.00, 0.82, 0.93, 0.61, 0.41, 0.31, 0.04)
 """Share of windows with two tracks, in the order of the cells of two still talkers"""
 NORM_MUSIC_MISSED = (0.0, 0.0, 0.0, 0.18, 0.03, 0.07, 0.28, 0.18, 0.26)

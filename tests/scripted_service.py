@@ -7,11 +7,13 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection, serve
 
+from service.client import Backoff
 from service.protocol import SUBPROTOCOL
 from service.protocol.server_messages import (
     Closing,
@@ -26,6 +28,7 @@ from service.protocol.server_messages import (
     Timing,
 )
 
+AT_ONCE = Backoff(first_s=0.0, longest_s=0.0)
 TIMEOUT_S = 20.0
 """Seconds after which a test that hangs fails"""
 
@@ -210,3 +213,23 @@ class ScriptedService:
             pass  # the client's right
         except BaseException as failure:
             self.failures.append(failure)
+
+
+def options(**changes: Any) -> dict[str, Any]:
+    audio = {"encoding": "pcm_s16le", "sample_rate": 16_000, "channels": 2}
+    return {"audio": audio, "array": "square", "backoff": AT_ONCE, **changes}
+
+
+def samples(count: int) -> np.ndarray[Any, np.dtype[np.int16]]:
+    return np.random.default_rng(count).integers(-9000, 9000, (count, 2), np.int16)
+
+
+def whole_session(peer: Peer) -> None:
+    """One result for every message, as long as the client sends."""
+    peer.begin()
+    seq = 0
+    while isinstance(message := peer.hear(), bytes):
+        seq += 1
+        peer.say(result(seq, 30.0 * seq))
+    assert message == {"type": "stop"}
+    peer.finish()

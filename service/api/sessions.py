@@ -70,7 +70,7 @@ class SessionAnswer(Answer):
             lag_ms=account.lag_ms,
             dropped_s=round(account.dropped_s, 3),
             num_sources=len(last),
-            state="running" if entry.session else "ended",
+            state="running" if entry.running else "ended",
         )
 
 
@@ -161,7 +161,7 @@ async def _events(entry: SessionEntry) -> AsyncIterator[str]:
     if entry.ready is not None:
         yield _event("ready", message_json(entry.ready))
     yield _event("history", json.dumps({"points": _history(entry)}))
-    if entry.session is None:
+    if not entry.running:
         return
     entry.watch(watch)
     try:
@@ -169,7 +169,7 @@ async def _events(entry: SessionEntry) -> AsyncIterator[str]:
             try:
                 message = await asyncio.wait_for(waiting.get(), KEEP_ALIVE_S)
             except TimeoutError:
-                if entry.session is None:
+                if not entry.running:
                     return
                 yield ": still here\n\n"
                 continue

@@ -121,10 +121,7 @@ class Connection:
         self.pump()
 
     def _emit(self, message: ServerMessage) -> None:
-        if self.session.start is None or not isinstance(message, Result):
-            text = message_json(message)
-        else:
-            text = message_json(message, spectrum="spectrum" in self.session.output.include)
+        text = message_json(message, spectrum="spectrum" in self.session.output.include)
         dropped = self._outbox.put(text, droppable=isinstance(message, DROPPABLE))
         self._reporter.account.results_dropped += dropped
         self._entry.observe(message)

@@ -8,8 +8,7 @@ from typing import Any
 
 from service.cli.live import CHUNK_S, Send
 from service.errors import ConfigError, DoaError, InvalidOption
-
-NANOSECONDS = 1e9
+from service.protocol.framing import NANOSECONDS
 
 
 def load_sounddevice() -> Any:

@@ -11,12 +11,11 @@ from typing import Any
 from service.errors import AudioError, ChannelMismatch
 from service.protocol import MAX_MESSAGE_BYTES
 from service.protocol.client_messages import AudioFormat
-from service.protocol.framing import HEADER, SAMPLE_BYTES, Encoding
+from service.protocol.framing import HEADER, NANOSECONDS, SAMPLE_BYTES, Encoding
 
 MESSAGE_SECONDS = 0.1
 """Seconds of audio in one message at most: what is dropped is dropped in these pieces"""
 
-NANOSECONDS = 1_000_000_000
 
 _TYPES: dict[Encoding, tuple[str, str]] = {
     "pcm_s16le": ("h", "int16"),
@@ -25,11 +24,6 @@ _TYPES: dict[Encoding, tuple[str, str]] = {
     "pcm_f32le": ("f", "float32"),
 }
 """By encoding: the buffer protocol's type codes, and numpy's name"""
-
-
-def frame_bytes(audio_format: AudioFormat) -> int:
-    """Bytes of one sample frame, all channels."""
-    return SAMPLE_BYTES[audio_format.encoding] * audio_format.channels
 
 
 def read_frames(audio: Any, audio_format: AudioFormat) -> memoryview:
@@ -69,7 +63,7 @@ def read_frames(audio: Any, audio_format: AudioFormat) -> memoryview:
             "first)"
         )
     flat = view.cast("B") if view.c_contiguous else memoryview(view.tobytes())
-    size = frame_bytes(audio_format)
+    size = audio_format.frame_bytes
     if len(flat) % size:
         raise ChannelMismatch(
             f"{len(flat)} bytes are no whole number of sample frames: {channels} channels of "
@@ -90,7 +84,7 @@ def split_frames(
     capture_time_ns : int
         Of the first sample frame.
     """
-    size, rate = frame_bytes(audio_format), audio_format.sample_rate
+    size, rate = audio_format.frame_bytes, audio_format.sample_rate
     header = HEADER.size if audio_format.header == "seq_time" else 0
     most = min((MAX_MESSAGE_BYTES - header) // size, max(int(MESSAGE_SECONDS * rate), 1)) * size
     for start in range(0, len(frames), most):

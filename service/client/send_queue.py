@@ -8,10 +8,10 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from service.client.audio import NANOSECONDS, frame_bytes, read_frames, split_frames
+from service.client.audio import read_frames, split_frames
 from service.client.errors import StreamClosed
 from service.protocol.client_messages import AudioFormat
-from service.protocol.framing import FrameHeader
+from service.protocol.framing import NANOSECONDS, FrameHeader
 
 MAX_CONTROL = 64
 """Control messages that wait at most"""
@@ -105,7 +105,7 @@ class SendQueue:
             After ``add_text(..., last=True)``.
         """
         frames = read_frames(audio, self._format)
-        size = frame_bytes(self._format)
+        size = self._format.frame_bytes
         if capture_time_ns is None:
             length = len(frames) // size * NANOSECONDS // self._format.sample_rate
             capture_time_ns = time.time_ns() - length

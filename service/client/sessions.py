@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed
 
-from service.client.audio import frame_bytes
 from service.client.backoff import Backoff
 from service.client.connection import Timeouts, closed_by, open_connection, read_known
 from service.client.errors import ServiceProblem, ServiceUnreachable, StreamClosed, StreamRefused
@@ -114,7 +113,7 @@ class Sessions:
 
     async def _connect(self) -> Opened:
         audio = self.start.audio
-        held_back = int(self._options.queue_s * audio.sample_rate) * frame_bytes(audio)
+        held_back = int(self._options.queue_s * audio.sample_rate) * audio.frame_bytes
         return await open_connection(
             self.url, self.start, self._options.token, self._timeouts, held_back
         )

@@ -23,6 +23,7 @@ from typing import Self
 import numpy as np
 
 from service.doa.array import MicrophoneArray
+from service.doa.silence import SILENCE
 from service.doa.stft import Stft
 from service.doa.types import BoolArray, ComplexArray, FloatArray
 from service.errors import NoiseCalibrationFailed, NoiseMismatch
@@ -34,8 +35,6 @@ stood out of it with 26 and 36 dB; talkers are found as well with any of the thr
 MIN_SECONDS = 1.0
 FRAMES_PER_MICROPHONE = 8
 """Least frames of N x N unknowns; eigenvalues of white noise then spread by a factor of 4"""
-SILENCE = 1e-9
-"""Mean square of -90 dBFS: nothing was recorded"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

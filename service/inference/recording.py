@@ -12,6 +12,7 @@ from service.audio import Recording
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics import ChannelDiagnostics
 from service.doa.orientation import Orientation
+from service.doa.silence import SILENCE
 from service.doa.stft import Stft
 from service.doa.types import FloatArray
 from service.inference.choice import (
@@ -25,7 +26,6 @@ from service.inference.identities import identified
 from service.inference.localizer import Localizer, localizer_of
 from service.inference.registry import BundleRegistry
 from service.inference.results import (
-    SILENCE,
     AudioWarning,
     LocalizeOptions,
     Method,

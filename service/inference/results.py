@@ -18,8 +18,6 @@ DEFAULT_WINDOW_S = 1.024
 DEFAULT_HOP_S = 0.512
 DEFAULT_MAX_SOURCES = 3
 MAX_SOURCES = 4
-SILENCE = 1e-9
-"""Mean square of -90 dBFS, below the rounding noise of 14 bits: nothing was recorded"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -109,8 +109,9 @@ def stream_localizer_of(
         return ClassicalStream(ClassicalLocalizer(method, array, stft, noise))
     if bundle.covariance_stream is not None:
         return WeightsStream(bundle, array, noise)
-    localizer = localizer_of(bundle, array, noise)
-    if isinstance(localizer, RegressionLocalizer):
+    if bundle.manifest.variant == "regression":
+        localizer = localizer_of(bundle, array, noise)
+        assert isinstance(localizer, RegressionLocalizer)
         return WindowStream(localizer, bundle.manifest.stft.frames)
     raise InvalidOption(
         f"model {bundle.manifest.name} cannot stream: it was exported without "

@@ -83,11 +83,6 @@ class NetworkStream:
         weights, attention, *self._state = self._engine.run([features, *self._state])
         return weights[0], attention[0]
 
-    @property
-    def mean_power(self) -> float:
-        """Mean over cells of ||x||^2 in the last second."""
-        return sum(self._power) / max(len(self._power), 1)
-
 
 @dataclass(frozen=True, slots=True)
 class _Block:

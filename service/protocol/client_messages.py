@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter, field_validator
 
-from service.protocol.framing import Encoding, HeaderKind
+from service.protocol.framing import SAMPLE_BYTES, Encoding, HeaderKind
 from service.protocol.message import Message, message_type, read_message
 
 Position = tuple[float, float, float]
@@ -30,6 +30,11 @@ class AudioFormat(Message):
     header: HeaderKind = "none"
     """`seq_time`: every binary message begins with 16 bytes (u32 flags, u32 sequence, i64 capture
     time in ns), so that lost messages are noticed and results carry the capture time"""
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of one sample frame, all channels."""
+        return SAMPLE_BYTES[self.encoding] * self.channels
 
 
 class ArrayChoice(Message):

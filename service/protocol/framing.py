@@ -18,6 +18,8 @@ SAMPLE_BYTES: dict[Encoding, int] = {
 HEADER = struct.Struct("<IIq")
 """u32 flags, u32 sequence, i64 capture time in nanoseconds; little endian, 16 bytes"""
 SEQUENCE_MODULUS = 2**32
+NANOSECONDS = 1_000_000_000
+"""Of a second: the unit of capture times"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ from service.protocol.message import Message, message_type, read_message
 WarningCode = Literal[
     "audio_dropped",
     "audio_gap",
-    "results_dropped",
     "non_finite",
     "quiet",
     "channel_dead",

@@ -3,7 +3,6 @@
 const TITLES = {
   audio_dropped: "Audio was dropped",
   audio_gap: "Audio is missing",
-  results_dropped: "Results were skipped",
   non_finite: "Broken samples",
   quiet: "Very quiet",
   channel_dead: "A microphone is silent",

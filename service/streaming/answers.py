@@ -8,7 +8,6 @@ from typing import Any
 from service.doa.orientation import Orientation
 from service.doa.peaks import find_peaks
 from service.doa.tracking import Track
-from service.protocol.client_messages import OutputOptions
 from service.protocol.degrees import azimuth_deg, unit_vector
 from service.protocol.server_messages import OdasPotential, OdasSource, StreamSource
 from service.streaming.pipeline import Estimate
@@ -19,10 +18,9 @@ ODAS_HOP_S = 0.008
 
 
 def result_fields(
-    estimate: Estimate, output: OutputOptions, *, spectrum: bool = False
+    estimate: Estimate, orientation: Orientation, *, spectrum: bool
 ) -> dict[str, Any]:
     """Fields of ``Result`` but for ``seq``, ``lag_ms`` and ``final``."""
-    orientation = Orientation.of_degrees(output.yaw_deg, output.exclude_deg)
     fields: dict[str, Any] = {
         "t_start": round(estimate.t_start, 6),
         "t_end": round(estimate.t_end, 6),
@@ -31,7 +29,7 @@ def result_fields(
         "why_no_source": estimate.why_no_source,
         "spectrum": None,
     }
-    if spectrum or "spectrum" in output.include:
+    if spectrum:
         turned = orientation.spectrum_on_robot(estimate.spectrum)
         fields["spectrum"] = [round(value, 4) for value in turned.tolist()]
     return fields
@@ -56,9 +54,8 @@ def odas_time_stamp(estimate: Estimate) -> int:
     return round(estimate.t_end / ODAS_HOP_S)
 
 
-def odas_potentials(estimate: Estimate, output: OutputOptions) -> list[OdasPotential]:
+def odas_potentials(estimate: Estimate, orientation: Orientation) -> list[OdasPotential]:
     """ODAS' SSL: the spectrum's four highest peaks."""
-    orientation = Orientation.of_degrees(output.yaw_deg, output.exclude_deg)
     peaks = [p for p in find_peaks(estimate.spectrum, 8) if not orientation.excludes(p.azimuth)]
     places = [(orientation.on_robot(p.azimuth), p.height) for p in peaks[:ODAS_PLACES]]
     filled = [OdasPotential(**_direction(a), E=round(float(h), 3)) for a, h in places]
@@ -66,9 +63,8 @@ def odas_potentials(estimate: Estimate, output: OutputOptions) -> list[OdasPoten
     return filled + [empty] * (ODAS_PLACES - len(filled))
 
 
-def odas_sources(estimate: Estimate, output: OutputOptions) -> list[OdasSource]:
+def odas_sources(estimate: Estimate, orientation: Orientation) -> list[OdasSource]:
     """ODAS' SST: the tracks."""
-    orientation = Orientation.of_degrees(output.yaw_deg, output.exclude_deg)
     filled = [
         OdasSource(
             id=track.id,

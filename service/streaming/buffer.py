@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
+from service.protocol.framing import NANOSECONDS
+
 
 @dataclass(frozen=True, slots=True)
 class Piece:
@@ -72,6 +74,6 @@ class AudioBuffer:
         """``piece`` without its first ``frames`` sample frames."""
         captured = piece.capture_time_ns
         if captured is not None:
-            captured += frames * 1_000_000_000 // self._sample_rate
+            captured += frames * NANOSECONDS // self._sample_rate
         data = piece.data[frames * self._frame_bytes :]
         return Piece(piece.position + frames, data, piece.arrived, captured)

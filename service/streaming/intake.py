@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from service.errors import InvalidMessage, MessageTooBig
 from service.protocol import MAX_MESSAGE_BYTES
 from service.protocol.client_messages import AudioFormat
-from service.protocol.framing import HEADER, SAMPLE_BYTES, SEQUENCE_MODULUS, FrameHeader
+from service.protocol.framing import HEADER, NANOSECONDS, SEQUENCE_MODULUS, FrameHeader
 from service.streaming.buffer import AudioBuffer, Piece
 from service.streaming.pcm import container_of
 
 LONGEST_GAP = 3600.0
 """Seconds; a longer one by the capture times is a clock that was set"""
-NANOSECONDS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,10 +29,9 @@ class Intake:
 
     def __init__(self, audio: AudioFormat) -> None:
         self._audio = audio
-        self._frame_bytes = SAMPLE_BYTES[audio.encoding] * audio.channels
         self._header: FrameHeader | None = None
         self._first = True
-        self.buffer = AudioBuffer(self._frame_bytes, audio.sample_rate)
+        self.buffer = AudioBuffer(audio.frame_bytes, audio.sample_rate)
         self.position = 0
         """Sample frames up to the end of what came, missing ones included"""
         self.received = 0
@@ -64,7 +62,7 @@ class Intake:
             gap, captured = self._unpack(message)
             audio = message[HEADER.size :]
         self._check(audio)
-        frames = len(audio) // self._frame_bytes
+        frames = len(audio) // self._audio.frame_bytes
         if gap is not None:
             self.position += gap.frames
         if captured is not None:
@@ -83,11 +81,12 @@ class Intake:
                     f"the first audio begins with the header of a {container} file: send the raw "
                     "samples behind the header, or send the file to POST /localize"
                 )
-        if len(audio) % self._frame_bytes:
+        size, channels = self._audio.frame_bytes, self._audio.channels
+        if len(audio) % size:
             raise InvalidMessage(
                 f"a binary message holds {len(audio)} bytes of audio, which is no whole number of "
-                f"sample frames of {self._frame_bytes} bytes ({self._audio.channels} channels of "
-                f"{self._audio.encoding}): check channels and encoding, never split a sample frame"
+                f"sample frames of {size} bytes ({channels} channels of {self._audio.encoding}): "
+                "check channels and encoding, never split a sample frame"
             )
 
     def _unpack(self, message: bytes) -> tuple[Gap | None, int]:

@@ -12,16 +12,17 @@ import soxr
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics.running import RunningDiagnostics
 from service.doa.orientation import Orientation
+from service.doa.silence import SILENCE
 from service.doa.stft import Stft, StreamingStft
 from service.doa.tracking import Detection, Track, Tracker
 from service.doa.types import ComplexArray, FloatArray
 from service.doa.whitening import NoiseCovariance, NoiseEstimator
 from service.errors import InvalidOption, NoiseCalibrationFailed
 from service.inference.bundle import Bundle
-from service.inference.results import SILENCE, Method, Source, WindowEstimate
-from service.inference.stream import StreamLocalizer, stream_localizer_of
+from service.inference.results import Method, WindowEstimate
+from service.inference.stream import stream_localizer_of
 from service.protocol.client_messages import AudioFormat, OutputOptions
-from service.protocol.framing import SAMPLE_BYTES
+from service.protocol.framing import NANOSECONDS
 from service.protocol.server_messages import WhyNoSource
 from service.streaming.buffer import Piece
 from service.streaming.clock import StreamClock
@@ -58,8 +59,6 @@ class Estimate:
     capture_time_ns: int | None
     tracks: tuple[Track, ...]
     """Most confident first"""
-    sources: tuple[Source, ...]
-    """The window's own, before tracking"""
     spectrum: FloatArray
     """(A,)"""
     why_no_source: WhyNoSource | None
@@ -86,11 +85,9 @@ class StreamPipeline:
         self._rate = plan.stft.sample_rate
         self._ratio = plan.audio.sample_rate / self._rate
         """Sample frames of the stream per sample of the analysis"""
-        self._frame_bytes = SAMPLE_BYTES[plan.audio.encoding] * plan.audio.channels
         self._tracker = Tracker()
         self.diagnostics = RunningDiagnostics(plan.audio.sample_rate, plan.channel_map, plan.array)
         """Fed here; another thread may ask it"""
-        self._noise = plan.noise
         self._calibration: _Calibration | None = None
         self._position = 0
         """Sample frames of the stream up to where it was taken in, missing ones included"""
@@ -101,34 +98,31 @@ class StreamPipeline:
         """A position and its capture time"""
         self._reported = -1.0
         """Stream time of the last estimate in samples"""
-        self._begin()
+        self._samples = 0
+        """Taken in since the beginning, or since audio was forgotten"""
+        self._begin(plan.noise)
 
-    def _begin(self) -> None:
-        """Forget all audio, keep the tracks and the time."""
+    def _begin(self, noise: NoiseCovariance | None) -> None:
+        """Forget all audio, keep the tracks and the time; nothing changes where it raises."""
         plan = self._plan
         microphones = plan.array.num_microphones
-        self._localizer = self._localizer_with(self._noise)
+        self._localizer = stream_localizer_of(
+            plan.method, plan.bundle, plan.array, plan.stft, noise
+        )
+        self._noise = noise
+        self._offset = self.stream_samples
+        self._samples = 0
         self._resampler = None
         if plan.audio.sample_rate != self._rate:
             self._resampler = soxr.ResampleStream(
                 plan.audio.sample_rate, self._rate, microphones, "float32", RESAMPLING
             )
         self._stft = StreamingStft(plan.stft, microphones)
-        self._samples = 0
-        """Taken in since here"""
         self._frames = 0
         self._fresh: list[ComplexArray] = []
         """Spectra since the last estimate"""
         self._energies: deque[tuple[int, float]] = deque()
         """Samples and summed squares of the latest audio, a window of it"""
-
-    def _localizer_with(self, noise: NoiseCovariance | None) -> StreamLocalizer:
-        plan = self._plan
-        return stream_localizer_of(plan.method, plan.bundle, plan.array, plan.stft, noise)
-
-    def _begin_anew(self) -> None:
-        self._offset = self.stream_samples
-        self._begin()
 
     @property
     def stream_samples(self) -> float:
@@ -163,11 +157,9 @@ class StreamPipeline:
         estimator, self._calibration = self._calibration.estimator, None
         try:
             noise = estimator.finish()
-            self._localizer_with(noise)
+            self._begin(noise)
         except (NoiseCalibrationFailed, InvalidOption) as error:
             return Step(estimate, calibration_error=error.detail)
-        self._noise = noise
-        self._begin_anew()
         return Step(estimate, noise)
 
     def calibrate(self, seconds: float) -> None:
@@ -184,14 +176,14 @@ class StreamPipeline:
                 run = []
                 self._skip(piece.position - self._position)
             run.append(piece)
-            self._position = piece.position + len(piece.data) // self._frame_bytes
+            self._position = piece.position + len(piece.data) // self._plan.audio.frame_bytes
         self._analyse(run)
 
     def _skip(self, frames: int) -> None:
         """Audio is missing: time goes on without it."""
         missing = frames / self._ratio
         if missing > LONG_GAP * self._rate:
-            self._begin_anew()
+            self._begin(self._noise)
         self._offset += missing
 
     def _analyse(self, pieces: Sequence[Piece]) -> None:
@@ -236,7 +228,6 @@ class StreamPipeline:
             t_end=t_end,
             capture_time_ns=self._capture_time(end),
             tracks=tuple(tracks[: output.max_sources]),
-            sources=tuple(heard),
             spectrum=estimate.spectrum,
             why_no_source=None if tracks else why,
             arrived=self._arrived,
@@ -269,7 +260,8 @@ class StreamPipeline:
         if self._captured is None:
             return None
         position, captured = self._captured
-        return captured + round((end * self._ratio - position) * 1e9 / self._plan.audio.sample_rate)
+        frames = end * self._ratio - position
+        return captured + round(frames * NANOSECONDS / self._plan.audio.sample_rate)
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,26 +26,23 @@ class SessionEntry:
 
     id: str
     started_at: datetime
-    session: Session | None
-    """None once it ended"""
+    session: Session
     reporter: Reporter
     pump: Callable[[], None]
     """Lets the session's owner act on what was done to it"""
     ready: Ready | None = None
     watchers: list[Watcher] = field(default_factory=list)
-    _client: str | None = None
 
     @property
     def client(self) -> str | None:
         """The name that the client gave itself."""
-        if self.session is None or self.session.start is None:
-            return self._client
-        return self.session.start.client
+        start = self.session.start
+        return start.client if start else None
 
-    def release(self) -> None:
-        """Let go of a session that ended."""
-        self._client = self.client
-        self.session = None
+    @property
+    def running(self) -> bool:
+        """False once the session ended."""
+        return self.session.state != "closed"
 
     def watch(self, watcher: Watcher) -> None:
         """Give every further message to ``watcher``; results then have their spectrum."""
@@ -91,9 +88,8 @@ class SessionRegistry:
         """Take no more sessions and end all in order."""
         self.draining = True
         for entry in self.running_entries():
-            if entry.session is not None:
-                entry.session.drain()
-                entry.pump()
+            entry.session.drain()
+            entry.pump()
 
     def check(self) -> None:
         """Raise Overloaded where one more session would be refused."""
@@ -116,7 +112,6 @@ class SessionRegistry:
 
     def end(self, entry: SessionEntry) -> None:
         """Take a session out; its results stay for a while, if it had any."""
-        entry.release()
         del self._running[entry.id]
         if not self._running:
             self.empty.set()

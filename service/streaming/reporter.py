@@ -119,10 +119,11 @@ class Reporter:
         self.account.add(estimate, orientation, lag_ms)
         if output.format == "odas":
             stamp = odas_time_stamp(estimate)
-            self.emit(OdasSsl, timeStamp=stamp, src=odas_potentials(estimate, output))
-            self.emit(OdasSst, timeStamp=stamp, src=odas_sources(estimate, output))
+            self.emit(OdasSsl, timeStamp=stamp, src=odas_potentials(estimate, orientation))
+            self.emit(OdasSst, timeStamp=stamp, src=odas_sources(estimate, orientation))
         else:
-            fields = result_fields(estimate, output, spectrum=self.watched)
+            spectrum = self.watched or "spectrum" in output.include
+            fields = result_fields(estimate, orientation, spectrum=spectrum)
             self.emit(Result, **fields, lag_ms=lag_ms, final=final)
 
     def received(self, seconds: float, buffered_s: float) -> None:

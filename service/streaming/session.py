@@ -113,7 +113,7 @@ class Session:
         try:
             if len(text) > MAX_MESSAGE_BYTES:
                 raise MessageTooBig(f"a control message has {len(text)} characters: at most 64 KiB")
-            self._control(read_client_message(text), now)
+            self._control(read_client_message(text))
         except DoaError as error:
             self.fail(error)
 
@@ -229,9 +229,7 @@ class Session:
         for finding in outcome.findings:
             self._report.warn(finding.code, finding.detail, channels=finding.channels)
 
-    def _control(
-        self, message: Start | Update | Flush | Ping | Calibrate | Stop, now: float
-    ) -> None:
+    def _control(self, message: Start | Update | Flush | Ping | Calibrate | Stop) -> None:
         if isinstance(message, Ping):
             self._report.emit(Pong, id=message.id)
         elif isinstance(message, Start):

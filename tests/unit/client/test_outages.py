@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Any
 
-import numpy as np
 import pytest
-from scripted_service import TIMEOUT_S, Peer, ScriptedService, error, result
+from scripted_service import (
+    TIMEOUT_S,
+    Peer,
+    ScriptedService,
+    error,
+    options,
+    result,
+    samples,
+    whole_session,
+)
 
 from service.client import (
-    Backoff,
     Reconnecting,
     ServiceUnreachable,
     StreamClient,
@@ -22,27 +28,6 @@ from service.protocol.close_codes import RETRYABLE
 from service.protocol.server_messages import Closing, Ready
 
 ServiceOf = Callable[..., ScriptedService]
-AT_ONCE = Backoff(first_s=0.0, longest_s=0.0)
-
-
-def options(**changes: Any) -> dict[str, Any]:
-    audio = {"encoding": "pcm_s16le", "sample_rate": 16_000, "channels": 2}
-    return {"audio": audio, "array": "square", "backoff": AT_ONCE, **changes}
-
-
-def samples(count: int) -> np.ndarray[Any, np.dtype[np.int16]]:
-    return np.random.default_rng(count).integers(-9000, 9000, (count, 2), np.int16)
-
-
-def whole_session(peer: Peer) -> None:
-    """One result for every message, as long as the client sends."""
-    peer.begin()
-    seq = 0
-    while isinstance(message := peer.hear(), bytes):
-        seq += 1
-        peer.say(result(seq, 30.0 * seq))
-    assert message == {"type": "stop"}
-    peer.finish()
 
 
 def say_no(code: str, close_code: int) -> Callable[[Peer], None]:

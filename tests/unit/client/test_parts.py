@@ -14,7 +14,7 @@ from scripted_service import ready, result
 
 from service.client import Backoff
 from service.client.addresses import service_url, stream_url
-from service.client.audio import frame_bytes, read_frames, split_frames
+from service.client.audio import read_frames, split_frames
 from service.client.inbox import Inbox
 from service.client.send_queue import MAX_CONTROL, SendQueue
 from service.errors import AudioError, ChannelMismatch, InvalidOption
@@ -83,7 +83,7 @@ def test_pieces_are_whole_frames_fit_a_message_and_lose_nothing(
     encoding: str, channels: int, rate: int, header: str, frames: int
 ) -> None:
     form = audio_format(encoding=encoding, channels=channels, sample_rate=rate, header=header)
-    size = frame_bytes(form)
+    size = form.frame_bytes
     audio = np.random.default_rng(frames).bytes(frames * size)
     pieces = list(split_frames(read_frames(audio, form), form, 10**18))
     extra = HEADER.size if header == "seq_time" else 0

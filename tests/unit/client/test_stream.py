@@ -9,11 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scripted_service import TIMEOUT_S, Peer, ScriptedService, result
+from scripted_service import (
+    TIMEOUT_S,
+    Peer,
+    ScriptedService,
+    options,
+    result,
+    samples,
+    whole_session,
+)
 
 from service.client import (
     AsyncStreamClient,
-    Backoff,
     ServiceUnreachable,
     StreamClient,
     StreamClosed,
@@ -24,27 +31,6 @@ from service.protocol.framing import HEADER, FrameHeader
 from service.protocol.server_messages import Flushed, Pong, Ready, Result
 
 ServiceOf = Callable[..., ScriptedService]
-AT_ONCE = Backoff(first_s=0.0, longest_s=0.0)
-
-
-def options(**changes: Any) -> dict[str, Any]:
-    audio = {"encoding": "pcm_s16le", "sample_rate": 16_000, "channels": 2}
-    return {"audio": audio, "array": "square", "backoff": AT_ONCE, **changes}
-
-
-def samples(count: int) -> np.ndarray[Any, np.dtype[np.int16]]:
-    return np.random.default_rng(count).integers(-9000, 9000, (count, 2), np.int16)
-
-
-def whole_session(peer: Peer) -> None:
-    """One result for every message, as long as the client sends."""
-    peer.begin()
-    seq = 0
-    while isinstance(message := peer.hear(), bytes):
-        seq += 1
-        peer.say(result(seq, 30.0 * seq))
-    assert message == {"type": "stop"}
-    peer.finish()
 
 
 def test_a_session_from_start_to_summary(service_of: ServiceOf) -> None:
