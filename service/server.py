@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
+import signal
 import socket
+import sys
+import time
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -16,13 +20,11 @@ from service.app import create_app
 from service.settings import Settings
 from service.startup import load_registry
 
-GRACE = 10
-"""Seconds that running requests get to finish after SIGTERM"""
 WS_MAX_SIZE = 2**20
 """Bytes of a WebSocket message; the stream says what is wrong from 64 KiB on, beyond this only a
 close frame does"""
 FAREWELL = 5
-"""Seconds beyond, in which those that did not are told so"""
+"""Seconds in which streams get their last words, and then those whose recordings took too long"""
 
 
 class Server(uvicorn.Server):
@@ -46,7 +48,9 @@ class Server(uvicorn.Server):
             self._announce(f"http://{f'[{host}]' if ':' in host else host}:{port}")
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        asyncio.get_running_loop().call_later(GRACE, self._state.workers.stop)
+        await self._wait_for_proxies()
+        grace = self._state.settings.drain_grace
+        asyncio.get_running_loop().call_later(grace, self._state.workers.stop)
         # uvicorn would cut the sockets before the application hears of it.
         self._state.streams.drain()
         with suppress(TimeoutError):
@@ -54,15 +58,27 @@ class Server(uvicorn.Server):
                 await self._state.streams.empty.wait()
         await super().shutdown(sockets)
 
+    async def _wait_for_proxies(self) -> None:
+        """Say that no more should come, but take what does: a proxy looks only now and then."""
+        self._state.leaving = True
+        ends = time.monotonic() + self._state.settings.drain_delay
+        while time.monotonic() < ends and not self.force_exit:  # noqa: ASYNC110 (as uvicorn waits)
+            await asyncio.sleep(min(0.1, self._state.settings.drain_delay))
+
 
 def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> None:
     """Serve until SIGINT or SIGTERM; ``announce`` is called with the address once ready.
+
+    Call it from the main thread: after SIGTERM the process ends with exit code 0.
 
     Raises
     ------
     BundleError, ConfigError
         If the bundles cannot be loaded: nothing listens then.
     """
+    # uvicorn raises a signal again once it has drained, which would look like a failure; and the
+    # first process of a container ignores SIGTERM until somebody handles it.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     app = create_app(settings, load_registry(settings))
     Server(server_config(app, settings), app.state.service, announce).run()
 
@@ -81,7 +97,7 @@ def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
         port=settings.port,
         log_level=settings.log_level,
         server_header=False,
-        timeout_graceful_shutdown=GRACE + FAREWELL,
+        timeout_graceful_shutdown=math.ceil(settings.drain_grace) + FAREWELL,
         ws="websockets-sansio",
         ws_max_size=WS_MAX_SIZE,
         ws_per_message_deflate=False,

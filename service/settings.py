@@ -5,7 +5,6 @@ A flag wins over the environment (``NEURALMUSIC_PORT`` for ``port``), which wins
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
@@ -16,25 +15,12 @@ from pydantic import Field, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from service.cpus import usable_cpus
 from service.errors import ConfigError
 
 PREFIX = "NEURALMUSIC_"
 
 LogLevel = Literal["critical", "error", "warning", "info", "debug"]
-
-
-def usable_cpus() -> int:
-    """CPUs that this process may use: its affinity, and a container's quota."""
-    try:
-        count = len(os.sched_getaffinity(0))
-    except AttributeError:  # not Linux
-        count = os.cpu_count() or 1
-    try:
-        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()
-        count = min(count, math.ceil(int(quota) / int(period)))
-    except (OSError, ValueError):  # no cgroup v2, or a quota of "max"
-        pass
-    return max(count, 1)
 
 
 class Settings(BaseSettings):
@@ -84,6 +70,11 @@ class Settings(BaseSettings):
     """Origins of web pages that may open streams besides the service's own, by commas; * for all"""
     noise_folder: Path | None = None
     """Folder in which noise profiles outlive the process; None keeps them in memory"""
+    drain_delay: float = Field(0.0, ge=0, le=3600)
+    """Seconds after SIGTERM in which /readyz is 503 but new work is still taken, so that no proxy
+    sends it in vain"""
+    drain_grace: float = Field(10.0, ge=0, le=86_400)
+    """Seconds that recordings in work then get to finish"""
     log_level: LogLevel = "info"
     """Least severe messages that are logged"""
 

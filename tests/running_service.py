@@ -40,6 +40,13 @@ class RunningService:
         """Of the processes that compute streams."""
         return self._app.state.service.stream_workers.pids
 
-    def stop(self) -> None:
+    def begin_stop(self) -> None:
         self._server.should_exit = True
+
+    def end_delay(self) -> None:
+        """What a second SIGINT does: wait for nobody any longer."""
+        self._server.force_exit = True
+
+    def stop(self) -> None:
+        self.begin_stop()
         self._thread.join(TIMEOUT_S)

@@ -15,6 +15,8 @@ from service.inference.registry import BundleRegistry
 from service.settings import Settings
 from service.streaming.registry import SessionRegistry
 
+SHUTTING_DOWN = "the service is shutting down: try again in a moment"
+
 
 @dataclass(slots=True)
 class ServiceState:
@@ -28,6 +30,8 @@ class ServiceState:
     """None until the bundles are loaded and self-tested"""
     noise: NoiseStore = field(default_factory=NoiseStore)
     """Profiles of robots' own noises"""
+    leaving: bool = False
+    """Whoever balances loads should send nothing new: the service is about to shut down"""
 
     @property
     def audio_limits(self) -> AudioLimits:
@@ -40,10 +44,16 @@ class ServiceState:
             raise NotReady("the models are being loaded: try again in a moment")
         return self.registry
 
+    def check_ready(self) -> None:
+        """Raise NotReady or Draining where new work had better go elsewhere."""
+        self.admit()
+        if self.leaving:
+            raise Draining(SHUTTING_DOWN)
+
     def admit(self) -> BundleRegistry:
         """The loaded bundles for something new; raises Draining once the service shuts down."""
         if self.streams.draining:
-            raise Draining("the service is shutting down: try again in a moment")
+            raise Draining(SHUTTING_DOWN)
         return self.models()
 
 

@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
+from service.cpus import usable_cpus
 from service.errors import ConfigError
-from service.settings import Settings, load_settings, usable_cpus, variable
+from service.settings import Settings, load_settings, variable
 
 
 @pytest.fixture(autouse=True)
@@ -115,5 +116,7 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
         "max_session": 2048.0,
         "origins": ("http://a", "http://b"),
         "noise_folder": Path("/n"),
+        "drain_delay": 2048.0,
+        "drain_grace": 2048.0,
         "log_level": "debug",
     }
