@@ -76,10 +76,13 @@ class Server(uvicorn.Server):
 
     async def _wait_for_proxies(self) -> None:
         """Say that no more should come, but take what does: a proxy looks only now and then."""
-        self._state.leaving = True
-        ends = time.monotonic() + self._state.settings.drain_delay
-        while time.monotonic() < ends and not self.force_exit:  # noqa: ASYNC110 (as uvicorn waits)
-            await asyncio.sleep(min(0.1, self._state.settings.drain_delay))
+        state = self._state
+        state.leaving = True
+        began = time.monotonic()
+        while time.monotonic() - began < state.settings.drain_delay:
+            if self.force_exit:  # which uvicorn itself looks at now and then
+                return
+            await asyncio.sleep(0.1)
 
 
 def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> None:

@@ -10,39 +10,42 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("docker.io", "docker-compose", "debootstrap")
 """Debian's; without iptables, which docker.io brings, no port is published"""
 START_S = 60
-MINUTES = 600
+MOST_S = 600
 """Seconds after which a command that hangs fails"""
 
 
-def docker(*words: str, timeout: float = MINUTES, stdin: bytes | None = None) -> str:
-    """What a command of the engine prints; CalledProcessError tells what it complained of."""
-    return run("docker", *words, timeout=timeout, stdin=stdin)
+def docker(*words: str, stdin: bytes | None = None, merged: bool = False) -> str:
+    """What a command of the engine prints, on both outputs where they are to be merged."""
+    return run("docker", *words, stdin=stdin, merged=merged)
 
 
 def run(
     *words: str,
-    timeout: float = MINUTES,
     stdin: bytes | None = None,
+    merged: bool = False,
     environment: dict[str, str] | None = None,
 ) -> str:
     """What a program prints; it fails with what the program complained of."""
     done = subprocess.run(
         words,
-        capture_output=True,
-        timeout=timeout,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT if merged else subprocess.PIPE,
+        timeout=MOST_S,
         input=stdin,
         check=False,
         cwd=ROOT,
         env={**os.environ, **(environment or {})},
     )
-    out, err = done.stdout.decode(errors="replace"), done.stderr.decode(errors="replace")
-    assert done.returncode == 0, f"{' '.join(words)}: {err[-3000:]}{out[-1000:]}"
-    return out
+    said = done.stdout.decode(errors="replace")
+    complained = (done.stderr or b"").decode(errors="replace")
+    assert done.returncode == 0, f"{' '.join(words)}: {complained[-3000:]}{said[-1000:]}"
+    return said
 
 
 def compose_command() -> tuple[str, ...] | None:
@@ -108,6 +111,6 @@ def comes_up(process: subprocess.Popen[bytes]) -> bool:
     return False
 
 
-def last_line(log: object) -> str:
-    log.seek(0)  # type: ignore[attr-defined]
-    return log.read().decode(errors="replace").strip().rpartition("\n")[2]  # type: ignore[attr-defined,no-any-return]
+def last_line(log: IO[bytes]) -> str:
+    log.seek(0)
+    return log.read().decode(errors="replace").strip().rpartition("\n")[2]

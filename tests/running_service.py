@@ -44,8 +44,9 @@ class RunningService:
         self._server.should_exit = True
 
     def end_delay(self) -> None:
-        """What a second SIGINT does: wait for nobody any longer."""
-        self._server.force_exit = True
+        """As if the setting ``drain_delay`` had passed."""
+        state = self._app.state.service
+        state.settings = state.settings.model_copy(update={"drain_delay": 0.0})
 
     def stop(self) -> None:
         self.begin_stop()
