@@ -9,11 +9,13 @@ from typing import Any
 import anyio.to_thread
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
+from starlette.types import ASGIApp
 
 from service import __version__
-from service.api import catalog, localize, noise, page, probes, sessions, stream
+from service.api import catalog, localize, metrics, noise, page, probes, sessions, stream
 from service.api.limits import BodyLimit
 from service.api.problems import Problem, install_problem_handlers
+from service.api.requests import RequestWatch
 from service.api.state import ServiceState
 from service.api.stream_workers import StreamWorkers
 from service.api.workers import WorkerPool
@@ -22,6 +24,7 @@ from service.inference.registry import BundleRegistry
 from service.settings import Settings, load_settings
 from service.startup import load_registry
 from service.streaming.registry import SessionRegistry
+from service.traces import Traces
 
 DESCRIPTION = """
 Directions of arrival from microphone array audio, with a neural covariance model and MUSIC or with
@@ -42,7 +45,14 @@ TAGS = [
 
 
 class DocumentedApp(FastAPI):
-    """FastAPI whose document defines ``Problem``, which no endpoint's type mentions."""
+    """FastAPI whose requests are watched and whose document defines ``Problem``.
+
+    No endpoint's type mentions it.
+    """
+
+    def build_middleware_stack(self) -> ASGIApp:
+        """Starlette's own, watched from outside of its answer to a defect."""
+        return RequestWatch(super().build_middleware_stack(), self.state.service.metrics)
 
     def openapi(self) -> dict[str, Any]:
         document = super().openapi()
@@ -62,12 +72,15 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
         NoiseStore(settings.noise_folder),
     )
 
+    traces = Traces(settings.traces)
+
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         if state.registry is None:
             state.registry = await anyio.to_thread.run_sync(load_registry, settings)
         yield
         await state.stream_workers.stop()
+        await anyio.to_thread.run_sync(traces.stop)
 
     app = DocumentedApp(
         title="NeuralMUSIC Service",
@@ -77,13 +90,14 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
         license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
         openapi_tags=TAGS,
         lifespan=lifespan,
+        telemetry=traces.telemetry,
         redoc_url=None,
         generate_unique_id_function=_operation_id,
     )
     app.state.service = state
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
     install_problem_handlers(app)
-    for each in (localize, stream, sessions, noise, catalog, probes, page):
+    for each in (localize, stream, sessions, noise, catalog, probes, metrics, page):
         app.include_router(each.router)
     return app
 

@@ -13,6 +13,7 @@ from fastapi import FastAPI
 
 from service.api.state import ServiceState
 from service.app import create_app
+from service.logs import configure_logging, server_log_level
 from service.settings import Settings
 from service.startup import load_registry
 
@@ -63,23 +64,32 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
     BundleError, ConfigError
         If the bundles cannot be loaded: nothing listens then.
     """
+    configure_logging(settings)
     app = create_app(settings, load_registry(settings))
     Server(server_config(app, settings), app.state.service, announce).run()
 
 
-def quiet_refusals(record: logging.LogRecord) -> bool:
-    """uvicorn takes a handshake that was refused with a response for one that was forgotten."""
-    return "returned without completing handshake" not in record.getMessage()
+def worth_a_line(record: logging.LogRecord) -> bool:
+    """Whether uvicorn's line is worth one; the application logs requests and streams itself.
+
+    uvicorn takes a handshake that was refused with a response for one that was forgotten, and
+    shows handshakes with their query.
+    """
+    return not str(record.msg).startswith(
+        ('%s - "WebSocket ', "connection ", "ASGI callable returned without completing handshake")
+    )
 
 
 def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
     """How uvicorn runs the application."""
-    logging.getLogger("uvicorn.error").addFilter(quiet_refusals)
+    logging.getLogger("uvicorn.error").addFilter(worth_a_line)
     return uvicorn.Config(
         app,
         host=settings.host,
         port=settings.port,
-        log_level=settings.log_level,
+        log_config=None,
+        log_level=server_log_level(settings),
+        access_log=False,
         server_header=False,
         timeout_graceful_shutdown=GRACE + FAREWELL,
         ws="websockets-sansio",

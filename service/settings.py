@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
@@ -21,6 +22,7 @@ from service.errors import ConfigError
 PREFIX = "NEURALMUSIC_"
 
 LogLevel = Literal["critical", "error", "warning", "info", "debug"]
+LogFormat = Literal["text", "json"]
 
 
 def usable_cpus() -> int:
@@ -86,6 +88,10 @@ class Settings(BaseSettings):
     """Folder in which noise profiles outlive the process; None keeps them in memory"""
     log_level: LogLevel = "info"
     """Least severe messages that are logged"""
+    log_format: LogFormat = "text"
+    """How they are written: text for people, or one JSON object a line"""
+    traces: str | None = None
+    """OTLP/HTTP endpoint that gets traces, as http://collector:4318; needs the extra otel"""
 
     @field_validator("models", mode="before")
     @classmethod
@@ -96,6 +102,13 @@ class Settings(BaseSettings):
     @classmethod
     def _split_commas(cls, value: object) -> object:
         return tuple(filter(None, value.split(","))) if isinstance(value, str) else value
+
+    @field_validator("traces")
+    @classmethod
+    def _check_endpoint(cls, value: str | None) -> str | None:
+        if value is not None and not re.fullmatch(r"https?://[^/\s]\S*", value):
+            raise ValueError("must be an address as http://collector:4318")
+        return value
 
 
 def load_settings(**overrides: Any) -> Settings:
@@ -158,5 +171,7 @@ def _sentence(error: ErrorDetails) -> str:
     if error["type"] == "extra_forbidden":
         return f"unknown setting {name}: {_closest(name, str)}"
     rule = _RULES.get(error["type"])
-    said = rule.format(**error.get("ctx", {})) if rule else error["msg"]
+    said = (
+        rule.format(**error.get("ctx", {})) if rule else error["msg"].removeprefix("Value error, ")
+    )
     return f"{name} {said}, but is {error['input']!r} (flag or {variable(name)})"

@@ -1,4 +1,4 @@
-"""What the endpoints share: settings, worker threads, loaded models."""
+"""What the endpoints share: settings, worker threads, loaded models, what is counted."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from service.audio import AudioLimits
 from service.errors import Draining, NotReady
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
+from service.metrics import Gauges, Metrics
 from service.settings import Settings
 from service.streaming.registry import SessionRegistry
 
@@ -28,6 +29,22 @@ class ServiceState:
     """None until the bundles are loaded and self-tested"""
     noise: NoiseStore = field(default_factory=NoiseStore)
     """Profiles of robots' own noises"""
+    metrics: Metrics = field(default_factory=Metrics)
+
+    def __post_init__(self) -> None:
+        self.metrics.read_from(self.gauges)
+
+    def gauges(self) -> Gauges:
+        """What a scrape sees of this moment."""
+        bundles = self.registry.bundles if self.registry else ()
+        return Gauges(
+            sessions=self.streams.running,
+            max_sessions=self.streams.max_sessions,
+            uploads=self.workers.admitted,
+            workers={"stream": len(self.stream_workers.pids), "file": self.workers.count},
+            ready=self.registry is not None and not self.streams.draining,
+            models=tuple(bundle.identity for bundle in bundles),
+        )
 
     @property
     def audio_limits(self) -> AudioLimits:

@@ -25,6 +25,16 @@ class WorkerPool:
         self._admitted = 0
         self._stopping = False
 
+    @property
+    def admitted(self) -> int:
+        """Recordings in work or waiting."""
+        return self._admitted
+
+    @property
+    def count(self) -> int:
+        """Workers that there are."""
+        return int(self._limiter.total_tokens)
+
     def check(self) -> None:
         """Raise Draining or Overloaded where one more call would be refused."""
         self._check_stopping()
