@@ -20,7 +20,7 @@ DoaError
 ├─ BundleError
 │  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed
 └─ CapacityError
-   └─ Overloaded · NotReady · Draining
+   └─ Overloaded · DiskFull · NotReady · Draining
 
 ``service.client.errors`` adds those of the clients.
 """
@@ -329,6 +329,12 @@ class Overloaded(CapacityError):
     """Every worker is busy and the queue is full."""
 
     code, title = "overloaded", "Overloaded"
+
+
+class DiskFull(CapacityError):
+    """What a client sent cannot be stored: the disk is full or refuses to be written."""
+
+    code, title = "disk_full", "Disk full"
 
 
 class NotReady(CapacityError):

@@ -21,6 +21,8 @@ session_id: ContextVar[str | None] = ContextVar("session_id", default=None)
 """Of the stream that is being served"""
 
 PACKAGE = "service"
+SAID = ("method", "path", "status", "reason")
+"""Fields that their line's message repeats"""
 HIDDEN = "[hidden]"
 _KEYS = re.compile(r"(bearer[ .:=]+)[A-Za-z0-9._~+/=-]+", re.IGNORECASE)
 """Keys as clients send them: ``Authorization: Bearer KEY`` and the subprotocol ``bearer.KEY``"""
@@ -108,8 +110,8 @@ class TextFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         clock = f"{self.formatTime(record, '%H:%M:%S')}.{record.msecs:03.0f}"
-        named = {**_fields(record), **_ids(self._worker)}
-        told = " ".join(f"{name}={value}" for name, value in named.items())
+        named = {**_ids(self._worker), **_fields(record)}
+        told = " ".join(f"{name}={value}" for name, value in named.items() if name not in SAID)
         line = f"{clock} {record.levelname:<8} {record.getMessage().strip()}  {told}".rstrip()
         line = one_line(line)
         if record.exc_info:

@@ -8,6 +8,7 @@ from service.api.options import OPTIONS, Option
 from service.errors import (
     AudioTooLong,
     ChannelMismatch,
+    DiskFull,
     DoaError,
     Draining,
     EmptyAudio,
@@ -58,6 +59,7 @@ LOCALIZE_ERRORS: tuple[type[DoaError], ...] = (
     NoiseMismatch,
     TooManySources,
     Overloaded,
+    DiskFull,
     NotReady,
     Draining,
     DoaError,
