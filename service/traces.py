@@ -69,7 +69,10 @@ class Traces:
         """A span within the request's; nothing where there are no traces."""
         if self._tracer is None:
             return nullcontext()
-        span: AbstractContextManager[Any] = self._tracer.start_as_current_span(name)
+        # An error that is a client's becomes a status of the request, not an exception here.
+        span: AbstractContextManager[Any] = self._tracer.start_as_current_span(
+            name, record_exception=False, set_status_on_exception=False
+        )
         return span
 
     def stop(self) -> None:

@@ -8,6 +8,7 @@ from service.api.options import OPTIONS, Option
 from service.errors import (
     AudioTooLong,
     ChannelMismatch,
+    DecodingFailed,
     DiskFull,
     DoaError,
     Draining,
@@ -33,6 +34,7 @@ from service.errors import (
     UnsupportedSampleRate,
     UploadError,
     UploadTooLarge,
+    WorkerLost,
 )
 
 LOCALIZE_ERRORS: tuple[type[DoaError], ...] = (
@@ -44,6 +46,7 @@ LOCALIZE_ERRORS: tuple[type[DoaError], ...] = (
     EmptyAudio,
     TruncatedAudio,
     NonFiniteAudio,
+    DecodingFailed,
     AudioTooLong,
     TooManyChannels,
     UnsupportedSampleRate,
@@ -62,6 +65,7 @@ LOCALIZE_ERRORS: tuple[type[DoaError], ...] = (
     DiskFull,
     NotReady,
     Draining,
+    WorkerLost,
     DoaError,
 )
 

@@ -16,7 +16,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.types import Receive, Scope, Send
 
 from service.api.requests import PROBLEM
-from service.errors import DoaError, InvalidOption
+from service.errors import UNEXPECTED, DoaError, InvalidOption
 
 log = logging.getLogger(__name__)
 
@@ -24,7 +24,6 @@ MEDIA_TYPE = "application/problem+json"
 TYPE_PREFIX = "urn:neuralmusic:problem:"
 RETRY_AFTER = 2
 """Seconds; a worker localizes minutes of audio in that time"""
-UNEXPECTED = "the service failed on this request; its log says why: please report it"
 
 
 class Problem(BaseModel):

@@ -62,6 +62,14 @@ def localize(url: str, wav: bytes) -> httpx2.Response:
     return httpx2.post(f"{url}/localize", params=params, content=wav, headers=headers, timeout=30)
 
 
+def recording() -> bytes:
+    """1.5 s of noise as a WAV file."""
+    noise = np.random.default_rng(0).integers(-300, 300, (24_000, 4)).astype("<i2")
+    file = io.BytesIO()
+    soundfile.write(file, noise, 16_000, format="WAV")
+    return file.getvalue()
+
+
 def scraped(url: str) -> dict[str, float]:
     """Values by the names as they are written, labels included."""
     text = httpx2.get(f"{url}/metrics").text
@@ -87,10 +95,7 @@ def used() -> Iterator[tuple[dict[str, float], dict[str, float], list[str]]]:
     with pytest.raises(ConnectionClosedError, match="4400"):
         asyncio.run(stream(socket, start={"array": {"name": "nobody's"}}))
     answered = asyncio.run(stream(socket))
-    noise = np.random.default_rng(0).integers(-300, 300, (24_000, 4)).astype("<i2")
-    file = io.BytesIO()
-    soundfile.write(file, noise, 16_000, format="WAV")
-    assert localize(url, file.getvalue()).status_code == 200
+    assert localize(url, recording()).status_code == 200
     for body in (b"no audio", b""):
         localize(url, body)
     yield before, scraped(url), answered
@@ -282,6 +287,19 @@ def test_a_request_and_a_stream_have_a_span_each_and_probes_have_none(
     assert streamed.end_time_unix_nano > streamed.start_time_unix_nano
     inside = {span.name for span in collector.spans if span.parent_span_id == streamed.span_id}
     assert not inside
+
+
+def test_the_span_of_a_recording_tells_the_work_from_the_upload(
+    tmp_path: Path, collector: Collector
+) -> None:
+    process = Process(tmp_path, "--traces", collector.url)
+    assert localize(process.url, recording()).status_code == 200
+    process.stop()
+    posted = next(span for span in collector.spans if span.kind == Span.SPAN_KIND_SERVER)
+    (work,) = (span for span in collector.spans if span.parent_span_id == posted.span_id)
+    assert work.name == "localize"
+    assert posted.start_time_unix_nano <= work.start_time_unix_nano
+    assert work.end_time_unix_nano <= posted.end_time_unix_nano
 
 
 def test_a_collector_that_is_gone_holds_up_no_end(tmp_path: Path, collector: Collector) -> None:
