@@ -39,17 +39,19 @@ PATIENCE = 30
 KEY = "nm_0123456789abcdefghijklmn"
 
 
-async def stream(url: str, *, start: dict[str, Any] | None = None, **options: Any) -> list[str]:
+async def stream(
+    url: str, *, start: dict[str, Any] | None = None, seconds: float = SECONDS, **options: Any
+) -> list[str]:
     """Stream noise in pieces of 100 ms and stop; the types of what was answered."""
     audio = {"encoding": "pcm_s16le", "sample_rate": 16000, "channels": 4}
-    begin = {"type": "start", "audio": audio, "array": {"name": ARRAY}, "overflow": "block"}
-    noise = np.random.default_rng(0).integers(-300, 300, (round(16000 * SECONDS), 4))
+    basis = {"type": "start", "audio": audio, "array": {"name": ARRAY}, "overflow": "block"}
+    noise = np.random.default_rng(0).integers(-300, 300, (round(16000 * seconds), 4))
     arguments: dict[str, Any] = {"subprotocols": ["doa.v1"], "compression": None, **options}
     answered: list[str] = []
     async with asyncio.timeout(PATIENCE), connect(url, **arguments) as socket:
-        await socket.send(json.dumps({**begin, **(start or {})}))
-        for piece in np.split(noise.astype("<i2"), round(10 * SECONDS)):
-            await socket.send(piece.tobytes())
+        await socket.send(json.dumps({**basis, **(start or {})}))
+        for begin in range(0, len(noise), 1600):
+            await socket.send(noise[begin : begin + 1600].astype("<i2").tobytes())
         await socket.send('{"type":"stop"}')
         async for text in socket:
             answered.append(json.loads(text)["type"])
@@ -93,7 +95,7 @@ def used() -> Iterator[tuple[dict[str, float], dict[str, float], list[str]]]:
     url, socket = service.url, service.url.replace("http", "ws") + "/stream"
     before = scraped(url)
     with pytest.raises(ConnectionClosedError, match="4400"):
-        asyncio.run(stream(socket, start={"array": {"name": "nobody's"}}))
+        asyncio.run(stream(socket, start={"array": {"name": "nobody's"}}, seconds=0))
     answered = asyncio.run(stream(socket))
     assert localize(url, recording()).status_code == 200
     for body in (b"no audio", b""):
