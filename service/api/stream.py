@@ -13,7 +13,7 @@ from service.api.problems import problem_response
 from service.api.state import ServiceState
 from service.api.stream_watch import StreamWatch
 from service.api.stream_workers import worker_lost
-from service.errors import DoaError, SubprotocolMissing, TooManySessions
+from service.errors import DoaError, StreamTimeout, SubprotocolMissing, TooManySessions
 from service.logs import session_id
 from service.protocol import SUBPROTOCOL
 from service.protocol.close_codes import CloseCode
@@ -96,7 +96,9 @@ class Connection:
         try:
             await self._websocket.accept(subprotocol=SUBPROTOCOL)
             tasks += [asyncio.create_task(each()) for each in (self._read, self._write, self._tick)]
-            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            if any(isinstance(task.exception(), TimeoutError) for task in done):
+                self.session.fail(StreamTimeout(f"nothing was read for {SEND_TIMEOUT_S:g} s"))
         finally:
             for task in tasks:
                 task.cancel()

@@ -36,6 +36,9 @@ ARRAY = "respeaker-usb-4mic-v2"
 RATE_INTERVAL = "15s"
 """What ``$__rate_interval`` is at a scrape a second"""
 PATIENCE_S = 30
+FLOOD_S = 4.0
+TAIL_S = 3.0
+"""Before the end of the load, at which the picture ends"""
 MISTAKES: tuple[tuple[bytes, dict[str, str]], ...] = (
     (b"no audio at all", {"array": ARRAY}),
     (b"RIFF", {"array": "nobody's"}),
@@ -124,27 +127,33 @@ def uploads(url: str, ended: threading.Event) -> None:
             turn += 1
 
 
-def load(url: str, arguments: argparse.Namespace) -> None:
-    """Robots, two clients that misbehave, and uploads beside them."""
+def load(url: str, arguments: argparse.Namespace) -> float:
+    """Robots that stay and robots that go, one client that floods, uploads and a reload.
+
+    Returns the moment at which the load was still whole, shortly before its end.
+    """
     ended = threading.Event()
     uploading = threading.Thread(target=uploads, args=(url, ended))
     uploading.start()
-    command = [
-        *(sys.executable, str(Path(__file__).with_name("robots.py"))),
-        *("--url", url.replace("http", "ws") + "/stream"),
-        *("--robots", str(arguments.robots), "--seconds", str(arguments.seconds)),
-    ]
-    # Robots of another half: they come and go, so that the number of streams moves.
-    some = [*command[:-3], str(max(arguments.robots // 2, 1)), "--seconds", "20"]
+    script = [sys.executable, str(Path(__file__).with_name("robots.py"))]
+    script += ["--url", url.replace("http", "ws") + "/stream"]
+
+    def robots(count: int, seconds: float, *further: str) -> list[str]:
+        return [*script, "--robots", str(count), "--seconds", str(seconds), *further]
+
+    third, quiet = arguments.seconds / 3, {"stdout": subprocess.DEVNULL}
+    whole = time.time() + arguments.seconds - TAIL_S
     try:
-        with running(command, stdout=subprocess.DEVNULL) as robots:
-            time.sleep(arguments.seconds / 3)
-            subprocess.run([*some, "--flood", "1"], stdout=subprocess.DEVNULL, check=False)
+        with running(robots(arguments.robots, arguments.seconds), **quiet) as staying:
+            time.sleep(third / 2)
+            subprocess.run(robots(max(arguments.robots // 2, 1), third), **quiet, check=True)
             httpx2.post(f"{url}/admin/reload", timeout=PATIENCE_S)
-            robots.wait()
+            subprocess.run(robots(1, FLOOD_S, "--flood", "1"), **quiet, check=True)
+            staying.wait()
     finally:
         ended.set()
         uploading.join()
+    return whole
 
 
 def filled(expression: str) -> str:
@@ -212,8 +221,7 @@ def main() -> None:
         folder = Path(name)
         with service([], folder / "log.json") as url, prometheus(url, folder) as address:
             began = time.time()
-            load(url, arguments)
-            ended = time.time()
+            ended = load(url, arguments)
             shown, empty = all_series(dashboard, address, began, ended)
             alerts = httpx2.get(f"{address}/api/v1/alerts").json()["data"]["alerts"]
     version = subprocess.run(
@@ -222,8 +230,8 @@ def main() -> None:
     release = (version.stdout or version.stderr).split("version ")[1].split()[0].split("+")[0]
     title = (
         f"Drawn by tests/bench/dashboard.py from Prometheus {release} (not by Grafana): "
-        f"{arguments.robots} robots for {arguments.seconds:g} s, more that come and go, one that "
-        "floods, uploads and mistakes beside them"
+        f"{arguments.robots} robots for {arguments.seconds:g} s, half as many that come and go, "
+        f"one client that floods for {FLOOD_S:g} s, uploads, mistakes and a reload beside them"
     )
     draw(dashboard, shown, title, ended - began, arguments.picture)
     print(f"{arguments.picture}: {len(shown)} panels; alerts: {alerts or 'none'}")

@@ -128,6 +128,7 @@ def _frame(kind: str, box: Box, width: float, height: float) -> Box:
 def _time_series(axes: Axes, panel: Any, lines: Sequence[Series], seconds: float) -> None:
     defaults = panel["fieldConfig"]["defaults"]
     unit = defaults["unit"]
+    lines = [line for line in lines if any(map(math.isfinite, line.values))]
     if "stacking" in defaults["custom"]:
         _stacked(axes, lines)
     else:
