@@ -12,11 +12,14 @@ from fastapi.routing import APIRoute
 
 from service import __version__
 from service.api import catalog, localize, noise, page, probes, sessions, stream
+from service.api.guard import Guard
+from service.api.guard_contract import document_guard
 from service.api.limits import BodyLimit
 from service.api.problems import Problem, install_problem_handlers
 from service.api.state import ServiceState
 from service.api.stream_workers import StreamWorkers
 from service.api.workers import WorkerPool
+from service.auth import Keys
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.settings import Settings, load_settings
@@ -42,11 +45,12 @@ TAGS = [
 
 
 class DocumentedApp(FastAPI):
-    """FastAPI whose document defines ``Problem``, which no endpoint's type mentions."""
+    """FastAPI whose document has ``Problem`` and the keys, which no endpoint's type mentions."""
 
     def openapi(self) -> dict[str, Any]:
         document = super().openapi()
         document["components"]["schemas"].setdefault("Problem", Problem.model_json_schema())
+        document_guard(document)
         return document
 
 
@@ -60,6 +64,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
         StreamWorkers(settings),
         registry,
         NoiseStore(settings.noise_folder),
+        keys=Keys(settings.keys),
     )
 
     @asynccontextmanager
@@ -82,6 +87,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
     )
     app.state.service = state
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
+    app.add_middleware(Guard, settings=settings, keys=state.keys)
     install_problem_handlers(app)
     for each in (localize, stream, sessions, noise, catalog, probes, page):
         app.include_router(each.router)

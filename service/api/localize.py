@@ -8,6 +8,7 @@ from typing import BinaryIO
 from fastapi import APIRouter, Request, Response
 
 from service.api.contract import LOCALIZE_ERRORS, LOCALIZE_EXAMPLE, localize_operation
+from service.api.guard import key_of
 from service.api.options import LocalizeRequest, read_options
 from service.api.problems import problem_responses
 from service.api.schemas import LocalizationAnswer
@@ -15,6 +16,7 @@ from service.api.state import ServiceState, state_of
 from service.api.upload import read_upload
 from service.api.workers import Progress
 from service.audio import Recording
+from service.auth import Key
 from service.errors import InvalidOption
 from service.inference.recording import localize_recording
 
@@ -44,18 +46,20 @@ async def localize(request: Request) -> Response:
     query parameters; `array` is required.
     """
     state = state_of(request)
+    key = key_of(request)
     state.admit()
     state.workers.check()
-    async with read_upload(request) as upload:
-        asked = read_options(upload.options)
-        body = await state.workers.run(
-            request, lambda progress: _answer(upload.file, asked, state, progress)
-        )
+    with state.keys.upload(key):
+        async with read_upload(request) as upload:
+            asked = read_options(upload.options)
+            body = await state.workers.run(
+                request, lambda progress: _answer(upload.file, asked, state, key, progress)
+            )
     return Response(body, media_type="application/json")
 
 
 def _answer(
-    file: BinaryIO, asked: LocalizeRequest, state: ServiceState, progress: Progress
+    file: BinaryIO, asked: LocalizeRequest, state: ServiceState, key: Key, progress: Progress
 ) -> bytes:
     """The answer's JSON; everything that takes time is in here, in a worker thread."""
     registry = state.models()
@@ -64,6 +68,7 @@ def _answer(
         options = replace(options, noise=state.noise.get(asked.noise).noise)
     with Recording.open(file, state.audio_limits) as recording:
         _check_windows(recording.duration, asked)
+        state.keys.charge(key, recording.duration)
         result = localize_recording(recording, options, registry, progress)
     return LocalizationAnswer.of(result, spectrum=asked.spectrum).to_json()
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from anyio import CapacityLimiter
 from fastapi import Request
 
 from service.api.stream_workers import StreamWorkers
 from service.api.workers import WorkerPool
 from service.audio import AudioLimits
+from service.auth import Keys
 from service.errors import Draining, NotReady
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
@@ -28,6 +30,10 @@ class ServiceState:
     """None until the bundles are loaded and self-tested"""
     noise: NoiseStore = field(default_factory=NoiseStore)
     """Profiles of robots' own noises"""
+    noise_checks: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(1))
+    """The largest profile takes some hundred megabytes while it is checked"""
+    keys: Keys = field(default_factory=Keys)
+    """Who may do what"""
 
     @property
     def audio_limits(self) -> AudioLimits:
