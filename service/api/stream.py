@@ -11,7 +11,7 @@ from service.api.guard import key_of
 from service.api.outbox import Outbox, message_json
 from service.api.problems import problem_response
 from service.api.state import ServiceState
-from service.auth import Key
+from service.auth import ANYONE, Key
 from service.errors import (
     AccessError,
     AudioQuota,
@@ -71,7 +71,7 @@ def _check_handshake(websocket: WebSocket, state: ServiceState) -> None:
 class Connection:
     """Moves messages between a WebSocket, a session and the worker that computes it."""
 
-    def __init__(self, websocket: WebSocket, state: ServiceState, key: Key) -> None:
+    def __init__(self, websocket: WebSocket, state: ServiceState, key: Key = ANYONE) -> None:
         settings = state.settings
         self._websocket = websocket
         self._keys = state.keys
