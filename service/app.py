@@ -12,6 +12,8 @@ from starlette.types import ASGIApp
 
 from service import __version__
 from service.api import admin, catalog, localize, metrics, noise, page, probes, sessions, stream
+from service.api.guard import Guard
+from service.api.guard_contract import document_guard
 from service.api.limits import BodyLimit
 from service.api.problems import Problem, install_problem_handlers
 from service.api.requests import RequestWatch
@@ -38,9 +40,9 @@ TAGS = [
 
 
 class DocumentedApp(FastAPI):
-    """FastAPI whose requests are watched and whose document defines ``Problem``.
+    """FastAPI whose requests are watched, and whose document has ``Problem`` and the keys.
 
-    No endpoint's type mentions it.
+    No endpoint's type mentions them.
     """
 
     def build_middleware_stack(self) -> ASGIApp:
@@ -50,6 +52,7 @@ class DocumentedApp(FastAPI):
     def openapi(self) -> dict[str, Any]:
         document = super().openapi()
         document["components"]["schemas"].setdefault("Problem", Problem.model_json_schema())
+        document_guard(document)
         return document
 
 
@@ -80,6 +83,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
     )
     app.state.service = state
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
+    app.add_middleware(Guard, settings=settings, keys=state.keys)
     install_problem_handlers(app)
     for each in (localize, stream, sessions, noise, catalog, admin, probes, metrics, page):
         app.include_router(each.router)

@@ -12,12 +12,15 @@ from contextlib import suppress
 import uvicorn
 from fastapi import FastAPI
 
+from service.api.hosts import is_loopback
 from service.api.state import ServiceState
 from service.app import create_app
 from service.errors import ReloadRefused
 from service.logs import configure_logging, server_log_level
 from service.settings import Settings
 from service.startup import load_registry
+
+log = logging.getLogger(__name__)
 
 GRACE = 10
 """Seconds that running requests get to finish after SIGTERM"""
@@ -82,8 +85,21 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
         If the bundles cannot be loaded: nothing listens then.
     """
     configure_logging(settings)
+    warn_if_open(settings)
     app = create_app(settings, load_registry(settings))
     Server(server_config(app, settings), app.state.service, announce).run()
+
+
+def warn_if_open(settings: Settings) -> None:
+    """Say loudly that everybody in the network may do everything, where that is so."""
+    if settings.keys is None and not is_loopback(settings.host):
+        log.warning(
+            "NO API KEYS: the service listens on %s, and whoever reaches it there may localize, "
+            "stream, watch every stream, change noise profiles and reload models. Make a key with "
+            "`neuralmusic key new NAME --roles localize,stream --file keys.jsonl`, start with "
+            "NEURALMUSIC_KEYS=keys.jsonl, and let a proxy speak TLS (docs/keys.md).",
+            settings.host,
+        )
 
 
 def worth_a_line(record: logging.LogRecord) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Mapping
 from http import HTTPStatus
 from typing import Any
@@ -16,7 +17,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.types import Receive, Scope, Send
 
 from service.api.requests import PROBLEM
-from service.errors import UNEXPECTED, DoaError, InvalidOption
+from service.errors import UNEXPECTED, DoaError, InvalidOption, RoleMissing, Unauthorized
 
 log = logging.getLogger(__name__)
 
@@ -67,8 +68,7 @@ class ProblemResponse(JSONResponse):
 
 def problem_response(error: DoaError) -> Response:
     """The response that an error becomes."""
-    headers = {"Retry-After": str(RETRY_AFTER)} if error.retryable else None
-    return ProblemResponse(error.code, error.status, error.title, error.detail, headers)
+    return ProblemResponse(error.code, error.status, error.title, error.detail, _headers(error))
 
 
 def problem_responses(*errors: type[DoaError]) -> dict[int | str, dict[str, Any]]:
@@ -86,9 +86,12 @@ def problem_responses(*errors: type[DoaError]) -> dict[int | str, dict[str, Any]
                 }
             },
         }
-        if any(error.retryable for error in alike):
+        if any(map(_may_pass_later, alike)):
             seconds = {"description": "Seconds", "schema": {"type": "integer"}}
             responses[status]["headers"] = {"Retry-After": seconds}
+        if status == HTTPStatus.UNAUTHORIZED:
+            challenge = {"description": "`Bearer`", "schema": {"type": "string"}}
+            responses[status]["headers"] = {"WWW-Authenticate": challenge}
     return responses
 
 
@@ -137,6 +140,27 @@ async def _on_disconnect(request: Request, error: Exception) -> Response:
 async def _on_unexpected(request: Request, error: Exception) -> Response:
     """Say nothing of the cause; the server logs the traceback."""
     return problem_response(DoaError(UNEXPECTED))
+
+
+def _headers(error: DoaError) -> dict[str, str]:
+    if isinstance(error, Unauthorized):
+        return {
+            "WWW-Authenticate": _challenge("" if error.code == "key_missing" else "invalid_token")
+        }
+    if isinstance(error, RoleMissing):
+        return {"WWW-Authenticate": _challenge("insufficient_scope")}
+    if _may_pass_later(error):
+        return {"Retry-After": str(math.ceil(error.retry_after_s or RETRY_AFTER))}
+    return {}
+
+
+def _may_pass_later(error: DoaError | type[DoaError]) -> bool:
+    return error.retryable or error.status == HTTPStatus.TOO_MANY_REQUESTS
+
+
+def _challenge(error: str) -> str:
+    """After RFC 6750; whoever sent nothing is told no error."""
+    return 'Bearer realm="neuralmusic"' + (f', error="{error}"' if error else "")
 
 
 def _example(error: type[DoaError]) -> dict[str, Any]:

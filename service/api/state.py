@@ -7,11 +7,13 @@ import logging
 from dataclasses import dataclass, field
 
 import anyio.to_thread
+from anyio import CapacityLimiter
 from fastapi import Request
 
 from service.api.recording_workers import RecordingWorkers
 from service.api.stream_workers import StreamWorkers
 from service.audio import AudioLimits
+from service.auth import Keys
 from service.errors import DoaError, Draining, NotReady, ReloadRefused
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
@@ -39,6 +41,10 @@ class ServiceState:
     """Profiles of robots' own noises"""
     metrics: Metrics = field(default_factory=Metrics)
     traces: Traces = field(default_factory=Traces)
+    noise_checks: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(1))
+    """The largest profile takes some hundred megabytes while it is checked"""
+    keys: Keys = field(default_factory=Keys)
+    """Who may do what"""
     _reloading: asyncio.Lock = field(default_factory=asyncio.Lock)
 
     def __post_init__(self) -> None:
@@ -56,6 +62,7 @@ class ServiceState:
             noise=NoiseStore(settings.noise_folder),
             metrics=metrics,
             traces=Traces(settings.traces),
+            keys=Keys(settings.keys),
         )
 
     def gauges(self) -> Gauges:
@@ -94,19 +101,20 @@ class ServiceState:
         await asyncio.gather(self.stream_workers.start(), self.recording_workers.start())
 
     async def reload(self) -> BundleRegistry:
-        """Read the bundles again, verify and self-test them, and serve with them.
+        """Read the bundles and the keys again, verify and self-test, and serve with them.
 
-        Running streams and recordings keep those that they began with.
+        Running streams and recordings keep the bundles that they began with.
 
         Raises
         ------
         ReloadRefused
-            If they cannot be used; nothing has changed then.
+            If they cannot be used; everything is as before then.
         """
         async with self._reloading:
             try:
                 registry = await anyio.to_thread.run_sync(load_registry, self.settings)
                 setup = Setup(self.settings, registry.files)
+                await anyio.to_thread.run_sync(self.keys.reload)
                 await self.stream_workers.renew(setup)
             except DoaError as error:
                 self.metrics.reloaded(ok=False)

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import asyncio
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
-from service.api.origins import check_origin
+from service.api.guard import key_of
 from service.api.outbox import Outbox, message_json
 from service.api.problems import problem_response
 from service.api.state import ServiceState
 from service.api.stream_watch import StreamWatch
 from service.api.stream_workers import worker_lost
-from service.errors import DoaError, StreamTimeout, SubprotocolMissing, TooManySessions
+from service.auth import ANYONE, Key
+from service.errors import (
+    AccessError,
+    AudioQuota,
+    DoaError,
+    StreamTimeout,
+    SubprotocolMissing,
+    TooManySessions,
+)
 from service.logs import session_id
 from service.protocol import SUBPROTOCOL
 from service.protocol.close_codes import CloseCode
@@ -42,18 +50,20 @@ router = APIRouter()
 async def stream(websocket: WebSocket) -> None:
     """A session after the protocol ``doa.v1``; see docs/protocol.md."""
     state: ServiceState = websocket.app.state.service
-    try:
-        _check_handshake(websocket, state)
-    except DoaError as error:
-        await websocket.send_denial_response(problem_response(error))
-        return
-    # It takes its place before it is accepted, so that two cannot take the last one.
-    await Connection(websocket, state).run()
+    key = key_of(websocket)
+    with ExitStack() as held:
+        try:
+            _check_handshake(websocket, state)
+            held.enter_context(state.keys.session(key))
+        except DoaError as error:
+            await websocket.send_denial_response(problem_response(error))
+            return
+        # It takes its place before it is accepted, so that two cannot take the last one.
+        await Connection(websocket, state, key).run()
 
 
 def _check_handshake(websocket: WebSocket, state: ServiceState) -> None:
     """Raise whatever refuses this client before the connection is accepted."""
-    check_origin(websocket.headers, state.settings.origins)
     if SUBPROTOCOL not in websocket.scope["subprotocols"]:
         raise SubprotocolMissing(
             f"/stream speaks the WebSocket subprotocol {SUBPROTOCOL}: offer it"
@@ -65,9 +75,13 @@ def _check_handshake(websocket: WebSocket, state: ServiceState) -> None:
 class Connection:
     """Moves messages between a WebSocket, a session and the worker that computes it."""
 
-    def __init__(self, websocket: WebSocket, state: ServiceState) -> None:
+    def __init__(self, websocket: WebSocket, state: ServiceState, key: Key = ANYONE) -> None:
         settings = state.settings
         self._websocket = websocket
+        self._keys = state.keys
+        self._key = key
+        self._charged_s = 0.0
+        """Seconds of audio that were counted for the key"""
         self._loop = asyncio.get_running_loop()
         self._stream_workers = state.stream_workers
         self._worker = state.stream_workers.assign()
@@ -159,10 +173,28 @@ class Connection:
             if data is not None:
                 self.session.receive_bytes(data, now)
                 self._watch.heard()
+                self._charge()
             elif text is not None:
                 self.session.receive_text(text, now)
                 self._check_client()
             self.pump()
+
+    def _charge(self) -> None:
+        """Count the audio that came for the key, and end the session where it is used up."""
+        audio_s = self._reporter.account.audio_s
+        self._keys.charge(self._key, audio_s - self._charged_s)
+        self._charged_s = audio_s
+        try:
+            self._keys.check_audio(self._key)
+        except AudioQuota as error:
+            self.session.fail(error)
+
+    def _check_key(self) -> None:
+        """End the session where its key is good no more."""
+        try:
+            self._key = self._keys.check(self._key, "stream")
+        except AccessError as error:
+            self.session.fail(error)
 
     def _check_client(self) -> None:
         """One client name may have a bounded number of streams."""
@@ -191,6 +223,7 @@ class Connection:
             await asyncio.sleep(TICK_S)
             now = self._loop.time()
             self.session.tick(now)
+            self._check_key()
             self._worker.watch(now)
             if self._worker.lost:  # a stream that is waiting for audio would not notice
                 self.session.fail(worker_lost())
