@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
@@ -166,26 +167,32 @@ def test_streams_are_counted_when_they_end_and_the_gauges_go_back(used: Any) -> 
     assert after['neuralmusic_workers{"kind": "stream"}'] == 1
 
 
-class Process:
-    """``neuralmusic serve`` as users start it."""
+def children(pid: int) -> list[str]:
+    return Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
 
-    def __init__(self, tmp_path: Path, *flags: str) -> None:
+
+def command_line(pid: str) -> bytes:
+    return Path(f"/proc/{pid}/cmdline").read_bytes()
+
+
+class Process:
+    """``neuralmusic serve`` as users start it; ``first`` is run before it."""
+
+    def __init__(self, tmp_path: Path, *flags: str, first: str = "") -> None:
         self.log = tmp_path / "stderr.txt"
+        program = f"{first}\nfrom service.cli import main; raise SystemExit(main())"
         with self.log.open("w") as errors:
             self._process = subprocess.Popen(
                 [
-                    *(
-                        sys.executable,
-                        "-c",
-                        "from service.cli import main; raise SystemExit(main())",
-                    ),
-                    *("serve", "--port", "0", "--workers", "1", "--stream-workers", "1", *flags),
+                    *(sys.executable, "-c", program, "serve", "--port", "0"),
+                    *("--workers", "1", "--stream-workers", "1", *flags),
                 ],
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 text=True,
                 env={**os.environ, "PYTHONPATH": str(ROOT)},
             )
+        self.pid = self._process.pid
         assert self._process.stdout is not None
         self.url = self._process.stdout.readline().split()[-1]
         self.socket = self.url.replace("http", "ws") + "/stream"
@@ -220,6 +227,31 @@ def test_the_log_is_json_line_by_line_with_the_ids_and_without_a_key(tmp_path: P
     assert 0 < ended["lag_p50_ms"] <= ended["lag_max_ms"] + 1
     (asked,) = (line for line in lines if line.get("path") == "/models")
     assert asked["request_id"] == answer.headers["x-request-id"]
+
+
+def test_a_defect_is_one_line_with_its_traceback_and_the_id_of_the_request(tmp_path: Path) -> None:
+    broken = "import service.api.page as page; page.page_files = None"
+    process = Process(tmp_path, "--log-format", "json", first=broken)
+    answer = httpx2.get(f"{process.url}/static/style.css", headers={"X-Request-ID": "odd-1"})
+    assert (answer.status_code, answer.headers["x-request-id"]) == (500, "odd-1")
+    lines = [json.loads(line) for line in process.stop()]
+    asked, failed = (line for line in lines if line.get("request_id") == "odd-1")
+    assert (asked["status"], asked["code"], asked["level"]) == (500, "internal", "error")
+    assert failed["level"] == "error"
+    assert "TypeError" in failed["exception"]
+
+
+def test_a_lost_worker_is_counted_and_named_in_the_log(tmp_path: Path) -> None:
+    process = Process(tmp_path, "--log-format", "json")
+
+    (worker,) = (int(pid) for pid in children(process.pid) if b"stream_worker" in command_line(pid))
+    os.kill(worker, signal.SIGKILL)
+    name = 'neuralmusic_workers_lost_total{"kind": "stream"}'
+    until = time.monotonic() + PATIENCE
+    while scraped(process.url)[name] == 0:
+        assert time.monotonic() < until
+    lines = [json.loads(line) for line in process.stop()]
+    assert any(str(worker) in line["message"] for line in lines if line["level"] == "error")
 
 
 class Collector:

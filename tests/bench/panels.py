@@ -17,7 +17,7 @@ matplotlib.use("agg")
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
 COLUMNS = 24
 CELL_IN = (0.72, 0.36)
@@ -137,10 +137,14 @@ def _time_series(axes: Axes, panel: Any, lines: Sequence[Series], seconds: float
             axes.plot(line.times, line.values, color=colour, linewidth=1.1, label=line.name)
             axes.fill_between(line.times, line.values, color=colour, alpha=0.06, linewidth=0)
     axes.set_xlim(0, seconds)
-    axes.set_ylim(bottom=0)
-    if axes.get_ylim()[1] <= 0.06 and unit not in ("s", "percentunit"):
-        axes.set_ylim(top=1)
-    axes.yaxis.set_major_locator(MaxNLocator(4))
+    if defaults["custom"].get("scaleDistribution", {}).get("type") == "log":
+        axes.set_yscale("log")
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    else:
+        axes.set_ylim(bottom=0)
+        if axes.get_ylim()[1] <= 0.06 and unit not in ("s", "percentunit"):
+            axes.set_ylim(top=1)
+        axes.yaxis.set_major_locator(MaxNLocator(4))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: written(value, unit)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda at, _: f"{at // 60:.0f}:{at % 60:02.0f}"))
     axes.tick_params(labelsize=7, colors=MUTED, length=0)

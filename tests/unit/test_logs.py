@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import logging
+import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -19,6 +21,7 @@ from opentelemetry.sdk.trace import TracerProvider
 from service.logs import JsonFormatter, TextFormatter, request_id, server_log_level, session_id
 from service.settings import Settings
 
+ROOT = Path(__file__).parents[2]
 FORMATTERS = (JsonFormatter(), TextFormatter())
 
 
@@ -121,6 +124,32 @@ def test_a_traceback_stays_in_the_line_of_its_error() -> None:
     exception = json.loads(written)["exception"]
     assert exception.startswith("Traceback")
     assert exception.endswith("ZeroDivisionError: because")
+
+
+def test_a_process_logs_all_that_it_has_to_say_as_json() -> None:
+    program = """
+import logging, threading, warnings
+import anyio, anyio.to_thread
+from service.logs import configure_logging, request_id
+from service.settings import Settings
+configure_logging(Settings(log_format="json"), "stream_worker-7")
+async def main():
+    request_id.set("r-1")
+    await anyio.to_thread.run_sync(logging.getLogger("service.work").info, "in a thread")
+anyio.run(main)
+logging.getLogger("another.library").warning("two\\nlines")
+logging.getLogger("another.library").info("of no interest")
+warnings.warn("careful")
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    lines = [json.loads(line) for line in done.stderr.splitlines()]
+    assert all(line["worker"] == "stream_worker-7" for line in lines)
+    threaded, foreign, warned = lines
+    assert (threaded["message"], threaded["request_id"]) == ("in a thread", "r-1")
+    assert foreign["message"] == "two\nlines"
+    assert "careful" in warned["message"]
 
 
 def test_the_server_shows_no_handshakes_even_when_debugging() -> None:
