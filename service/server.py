@@ -15,11 +15,15 @@ from contextlib import suppress
 import uvicorn
 from fastapi import FastAPI
 
+from service.api.hosts import is_loopback
 from service.api.state import ServiceState
 from service.app import create_app
 from service.errors import ReloadRefused
+from service.logs import configure_logging, server_log_level
 from service.settings import Settings
 from service.startup import load_registry
+
+log = logging.getLogger(__name__)
 
 WS_MAX_SIZE = 2**20
 """Bytes of a WebSocket message; the stream says what is wrong from 64 KiB on, beyond this only a
@@ -95,6 +99,8 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
     BundleError, ConfigError
         If the bundles cannot be loaded: nothing listens then.
     """
+    configure_logging(settings)
+    warn_if_open(settings)
     # uvicorn raises a signal again once it has drained, which would look like a failure; and the
     # first process of a container ignores SIGTERM until somebody handles it.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
@@ -102,19 +108,39 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
     Server(server_config(app, settings), app.state.service, announce).run()
 
 
-def quiet_refusals(record: logging.LogRecord) -> bool:
-    """uvicorn takes a handshake that was refused with a response for one that was forgotten."""
-    return "returned without completing handshake" not in record.getMessage()
+def warn_if_open(settings: Settings) -> None:
+    """Say loudly that everybody in the network may do everything, where that is so."""
+    if settings.keys is None and not is_loopback(settings.host):
+        log.warning(
+            "NO API KEYS: the service listens on %s, and whoever reaches it there may localize, "
+            "stream, watch every stream, change noise profiles and reload models. Make a key with "
+            "`neuralmusic key new NAME --roles localize,stream --file keys.jsonl`, start with "
+            "NEURALMUSIC_KEYS=keys.jsonl, and let a proxy speak TLS (docs/keys.md).",
+            settings.host,
+        )
+
+
+def worth_a_line(record: logging.LogRecord) -> bool:
+    """Whether uvicorn's line is worth one; the application logs requests and streams itself.
+
+    uvicorn takes a handshake that was refused with a response for one that was forgotten, and
+    shows handshakes with their query.
+    """
+    return not str(record.msg).startswith(
+        ('%s - "WebSocket ', "connection ", "ASGI callable returned without completing handshake")
+    )
 
 
 def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
     """How uvicorn runs the application."""
-    logging.getLogger("uvicorn.error").addFilter(quiet_refusals)
+    logging.getLogger("uvicorn.error").addFilter(worth_a_line)
     return uvicorn.Config(
         app,
         host=settings.host,
         port=settings.port,
-        log_level=settings.log_level,
+        log_config=None,
+        log_level=server_log_level(settings),
+        access_log=False,
         server_header=False,
         timeout_graceful_shutdown=math.ceil(settings.drain_grace) + FAREWELL,
         ws="websockets-sansio",

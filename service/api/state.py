@@ -1,4 +1,4 @@
-"""What the endpoints share: settings, worker processes, loaded models."""
+"""What the endpoints share: settings, worker processes, loaded models, what is counted."""
 
 from __future__ import annotations
 
@@ -7,17 +7,21 @@ import logging
 from dataclasses import dataclass, field
 
 import anyio.to_thread
+from anyio import CapacityLimiter
 from fastapi import Request
 
 from service.api.recording_workers import RecordingWorkers
 from service.api.stream_workers import StreamWorkers
 from service.audio import AudioLimits
+from service.auth import Keys
 from service.errors import DoaError, Draining, NotReady, ReloadRefused
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
+from service.metrics import Gauges, Metrics
 from service.settings import Settings
 from service.startup import load_registry
 from service.streaming.registry import SessionRegistry
+from service.traces import Traces
 from service.worker_link import Setup
 
 log = logging.getLogger(__name__)
@@ -39,17 +43,45 @@ class ServiceState:
     """Profiles of robots' own noises"""
     leaving: bool = False
     """Whoever balances loads should send nothing new: the service is about to shut down"""
+    metrics: Metrics = field(default_factory=Metrics)
+    traces: Traces = field(default_factory=Traces)
+    noise_checks: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(1))
+    """The largest profile takes some hundred megabytes while it is checked"""
+    keys: Keys = field(default_factory=Keys)
+    """Who may do what"""
     _reloading: asyncio.Lock = field(default_factory=asyncio.Lock)
+
+    def __post_init__(self) -> None:
+        self.metrics.read_from(self.gauges)
 
     @classmethod
     def of(cls, settings: Settings) -> ServiceState:
-        """The state of an application that has loaded nothing yet."""
+        """The state of an application that has loaded nothing yet; ConfigError without extras."""
+        metrics = Metrics()
         return cls(
             settings,
-            RecordingWorkers(settings.workers, settings.queue, settings.stall_timeout),
+            RecordingWorkers(settings.workers, settings.queue, settings.stall_timeout, metrics),
             SessionRegistry(settings.max_sessions),
-            StreamWorkers(settings.stream_workers),
+            StreamWorkers(settings.stream_workers, metrics),
             noise=NoiseStore(settings.noise_folder),
+            metrics=metrics,
+            traces=Traces(settings.traces),
+            keys=Keys(settings.keys),
+        )
+
+    def gauges(self) -> Gauges:
+        """What a scrape sees of this moment."""
+        bundles = self.registry.bundles if self.registry else ()
+        return Gauges(
+            sessions=self.streams.running,
+            max_sessions=self.streams.max_sessions,
+            uploads=self.recording_workers.admitted,
+            workers={
+                "stream": len(self.stream_workers.pids),
+                "file": len(self.recording_workers.pids),
+            },
+            ready=self.ready,
+            models=tuple(bundle.identity for bundle in bundles),
         )
 
     @property
@@ -73,41 +105,50 @@ class ServiceState:
         await asyncio.gather(self.stream_workers.start(), self.recording_workers.start())
 
     async def reload(self) -> BundleRegistry:
-        """Read the bundles again, verify and self-test them, and serve with them.
+        """Read the bundles and the keys again, verify and self-test, and serve with them.
 
-        Running streams and recordings keep those that they began with.
+        Running streams and recordings keep the bundles that they began with.
 
         Raises
         ------
         ReloadRefused
-            If they cannot be used; nothing has changed then.
+            If they cannot be used; everything is as before then.
         """
         async with self._reloading:
             try:
                 registry = await anyio.to_thread.run_sync(load_registry, self.settings)
                 setup = Setup(self.settings, registry.files)
+                await anyio.to_thread.run_sync(self.keys.reload)
                 await self.stream_workers.renew(setup)
             except DoaError as error:
+                self.metrics.reloaded(ok=False)
                 log.error("the models were not reloaded: %s", error.detail)
                 raise ReloadRefused(
                     f"{error.detail}; the models that were loaded go on serving"
                 ) from error
             await anyio.to_thread.run_sync(self.recording_workers.renew, setup)
             self.registry = registry
+        self.metrics.reloaded(ok=True)
         names = ", ".join(f"{b.manifest.name} {b.manifest.version}" for b in registry.bundles)
         log.info("the models were reloaded: %s", names)
         return registry
 
     async def stop(self) -> None:
-        """End all worker processes."""
+        """End all worker processes, send the last traces."""
         await self.stream_workers.stop()
         await anyio.to_thread.run_sync(self.recording_workers.stop)
+        await anyio.to_thread.run_sync(self.traces.stop)
 
     def models(self) -> BundleRegistry:
         """The loaded bundles, or NotReady."""
         if self.registry is None:
             raise NotReady("the models are being loaded: try again in a moment")
         return self.registry
+
+    @property
+    def ready(self) -> bool:
+        """Whether new work may come: /readyz in one word."""
+        return self.registry is not None and not (self.leaving or self.streams.draining)
 
     def check_ready(self) -> None:
         """Raise NotReady or Draining where new work had better go elsewhere."""

@@ -13,10 +13,10 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 
 from service.errors import (
+    DiskFull,
     DoaError,
     InvalidOption,
     MissingAudio,
-    Overloaded,
     UnsupportedMediaType,
     UploadError,
 )
@@ -49,6 +49,8 @@ async def read_upload(request: Request) -> AsyncIterator[Upload]:
         If there is no recording in it.
     UploadTooLarge
         From the body limit, while the body is read.
+    DiskFull
+        If it cannot be stored.
     """
     is_form = _media_type(request) == "multipart/form-data"
     async with AsyncExitStack() as stack:
@@ -59,7 +61,7 @@ async def read_upload(request: Request) -> AsyncIterator[Upload]:
             upload.file.fileno()
             upload.file.flush()
         except OSError as error:
-            raise Overloaded("there is no room to store the upload: try again later") from error
+            raise DiskFull("there is no room to store the upload: try again later") from error
         if not size:
             raise MissingAudio(f"the recording is empty (0 bytes): {HOW}")
         yield upload
