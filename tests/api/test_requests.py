@@ -156,7 +156,7 @@ def test_a_refused_handshake_is_counted_and_logged(
     client: TestClient, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "service")
-    with pytest.raises(WebSocketDisconnect), client.websocket_connect("/stream?token=secret"):
+    with pytest.raises(WebSocketDisconnect), client.websocket_connect("/stream?name=secret"):
         pass
     (line,) = lines(caplog)
     assert (line["method"], line["path"], line["status"]) == ("WEBSOCKET", "/stream", 400)
