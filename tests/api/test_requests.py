@@ -75,7 +75,7 @@ def test_a_request_is_one_line_without_its_query(
     client: TestClient, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "service")
-    answer = client.get("/models?robot=secret", headers={"Authorization": "Bearer secret"})
+    answer = client.get("/models?name=secret", headers={"Authorization": "Bearer secret"})
     (line,) = lines(caplog)
     assert (line["method"], line["path"], line["status"]) == ("GET", "/models", 200)
     assert line["client"] == "testclient"
