@@ -38,6 +38,9 @@ TAGS = [
     {"name": "service", "description": "Web page and probes."},
 ]
 
+PARTS = (localize, stream, sessions, noise, catalog, admin, probes, metrics, page)
+"""Modules with a router each"""
+
 
 class DocumentedApp(FastAPI):
     """FastAPI whose requests are watched, and whose document has ``Problem`` and the keys.
@@ -47,7 +50,10 @@ class DocumentedApp(FastAPI):
 
     def build_middleware_stack(self) -> ASGIApp:
         """Starlette's own, watched from outside of its answer to a defect."""
-        return RequestWatch(super().build_middleware_stack(), self.state.service.metrics)
+        paths = [route.path for part in PARTS for route in part.router.routes]
+        documents = [path for path in (self.openapi_url, self.docs_url) if path]
+        stack = super().build_middleware_stack()
+        return RequestWatch(stack, self.state.service.metrics, [*documents, *paths])
 
     def openapi(self) -> dict[str, Any]:
         document = super().openapi()
@@ -85,7 +91,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
     app.add_middleware(Guard, settings=settings, keys=state.keys)
     install_problem_handlers(app)
-    for each in (localize, stream, sessions, noise, catalog, admin, probes, metrics, page):
+    for each in PARTS:
         app.include_router(each.router)
     return app
 
