@@ -12,6 +12,7 @@ from fastapi.routing import APIRoute
 
 from service import __version__
 from service.api import catalog, localize, noise, page, probes, sessions, stream
+from service.api.deadlines import BodyDeadline
 from service.api.limits import BodyLimit
 from service.api.problems import Problem, install_problem_handlers
 from service.api.state import ServiceState
@@ -81,6 +82,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
         generate_unique_id_function=_operation_id,
     )
     app.state.service = state
+    app.add_middleware(BodyDeadline, seconds=settings.body_timeout)
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
     install_problem_handlers(app)
     for each in (localize, stream, sessions, noise, catalog, probes, page):

@@ -11,9 +11,9 @@ DoaError
 │  └─ UnknownModel · UnknownMethod · InvalidOption · TooManySources · GeometryMismatch
 ├─ NoiseError
 │  ├─ UnknownNoise · NoiseMismatch · NoiseProfileInvalid · NoiseCalibrationFailed
-│  └─ NoiseStoreFull
+│  └─ NoiseStoreFull · NoiseNotKept
 ├─ UploadError
-│  └─ MissingAudio · UploadTooLarge · UnsupportedMediaType
+│  └─ MissingAudio · UploadTooLarge · UnsupportedMediaType · RequestTimeout
 ├─ StreamProtocolError
 │  └─ InvalidMessage · AudioBeforeStart · MessageTooBig · StreamTimeout · SessionLimit ·
 │     TooManySessions · OriginRefused · SubprotocolMissing · WorkerLost
@@ -202,6 +202,12 @@ class NoiseStoreFull(NoiseError):
     code, status, title = "noise_full", 409, "Too many noise profiles"
 
 
+class NoiseNotKept(NoiseError):
+    """The noise profile cannot be written to the service's folder."""
+
+    code, status, title = "noise_not_kept", 507, "Noise profile not kept"
+
+
 class UploadError(DoaError):
     """The request's body cannot be taken."""
 
@@ -224,6 +230,12 @@ class UnsupportedMediaType(UploadError):
     """The body's content type is neither a form nor audio."""
 
     code, status, title = "media_type_unsupported", 415, "Unsupported media type"
+
+
+class RequestTimeout(UploadError):
+    """The request came too slowly."""
+
+    code, status, title = "request_timeout", 408, "Request timeout"
 
 
 class StreamProtocolError(DoaError):

@@ -13,6 +13,7 @@ from fastapi import FastAPI
 
 from service.api.state import ServiceState
 from service.app import create_app
+from service.connections import HttpProtocol, limit_untaken
 from service.settings import Settings
 from service.startup import load_registry
 
@@ -41,6 +42,8 @@ class Server(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await self._state.stream_workers.start()
         await super().startup(sockets)
+        for listening in (each for server in self.servers for each in server.sockets):
+            limit_untaken(listening)
         if self._announce and self.started:
             host, port = self.servers[0].sockets[0].getsockname()[:2]
             self._announce(f"http://{f'[{host}]' if ':' in host else host}:{port}")
@@ -82,6 +85,7 @@ def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
         log_level=settings.log_level,
         server_header=False,
         timeout_graceful_shutdown=GRACE + FAREWELL,
+        http=HttpProtocol,
         ws="websockets-sansio",
         ws_max_size=WS_MAX_SIZE,
         ws_per_message_deflate=False,

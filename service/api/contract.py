@@ -21,6 +21,7 @@ from service.errors import (
     NotAudio,
     NotReady,
     Overloaded,
+    RequestTimeout,
     TooManyChannels,
     TooManySources,
     TruncatedAudio,
@@ -37,6 +38,7 @@ from service.errors import (
 LOCALIZE_ERRORS: tuple[type[DoaError], ...] = (
     UploadError,
     UploadTooLarge,
+    RequestTimeout,
     UnsupportedMediaType,
     MissingAudio,
     NotAudio,

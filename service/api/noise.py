@@ -16,8 +16,10 @@ from service.api.schemas import Answer
 from service.api.state import state_of
 from service.errors import (
     InvalidOption,
+    NoiseNotKept,
     NoiseProfileInvalid,
     NoiseStoreFull,
+    RequestTimeout,
     UnknownNoise,
     UploadTooLarge,
 )
@@ -88,7 +90,14 @@ async def get_noise(request: Request, name: Name) -> Response:
 @router.put(
     "/noise/{name}",
     summary="Store a noise profile",
-    responses=problem_responses(InvalidOption, NoiseProfileInvalid, NoiseStoreFull, UploadTooLarge),
+    responses=problem_responses(
+        InvalidOption,
+        NoiseProfileInvalid,
+        NoiseStoreFull,
+        NoiseNotKept,
+        RequestTimeout,
+        UploadTooLarge,
+    ),
     openapi_extra={"requestBody": {"required": True, "content": {MEDIA_TYPE: BINARY}}},
 )
 async def put_noise(request: Request, name: Name) -> NoiseAnswer:

@@ -11,7 +11,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from service.doa.whitening import NoiseCovariance
-from service.errors import ConfigError, InvalidOption, NoiseError, NoiseStoreFull, UnknownNoise
+from service.errors import (
+    ConfigError,
+    InvalidOption,
+    NoiseError,
+    NoiseNotKept,
+    NoiseStoreFull,
+    UnknownNoise,
+)
 from service.inference.noise_profile import load_noise, save_noise
 
 logger = logging.getLogger(__name__)
@@ -74,7 +81,7 @@ class NoiseStore:
             If the name is not 1 to 64 letters, digits, dots, underscores and hyphens.
         NoiseStoreFull
             If there is no room for another one.
-        OSError
+        NoiseNotKept
             If the folder cannot be written.
         """
         if not usable_name(name):
@@ -90,7 +97,13 @@ class NoiseStore:
                     "with DELETE /noise/NAME"
                 )
             if self._folder is not None:
-                _write(self._folder, name, noise)
+                try:
+                    _write(self._folder, name, noise)
+                except OSError as error:
+                    raise NoiseNotKept(
+                        f"the noise profile {name} cannot be written to the service's folder "
+                        f"({error.strerror}): make room there"
+                    ) from error
             profiles[name] = StoredNoise(name, noise, datetime.now(UTC))
             return profiles[name]
 

@@ -23,6 +23,7 @@ from service.errors import (
     DoaError,
     InvalidMessage,
     MessageTooBig,
+    NoiseNotKept,
     NoiseStoreFull,
     SessionLimit,
     StreamTimeout,
@@ -317,7 +318,7 @@ class Session:
         if name is not None:
             try:
                 self._noise.put(name, noise)
-            except (NoiseStoreFull, OSError) as error:
+            except (NoiseStoreFull, NoiseNotKept) as error:
                 self._report.warn(
                     "calibration_failed",
                     f"the noise is used, but kept for this stream only: {error}",

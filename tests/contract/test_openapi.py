@@ -15,6 +15,7 @@ from service.errors import (
     ConfigError,
     DoaError,
     NoiseCalibrationFailed,
+    NoiseNotKept,
     NoiseProfileInvalid,
     NoiseStoreFull,
     StreamProtocolError,
@@ -65,6 +66,7 @@ def test_every_error_of_a_request_is_documented_with_its_status(document: Any) -
         ClientError,
         ConfigError,
         NoiseCalibrationFailed,
+        NoiseNotKept,
         NoiseProfileInvalid,
         StreamProtocolError,
     )
@@ -76,10 +78,12 @@ def test_every_error_of_a_request_is_documented_with_its_status(document: Any) -
 
 def test_every_error_of_storing_noise_is_documented_with_its_status(document: Any) -> None:
     assert problems(document["paths"]["/noise/{name}"]["put"]) == {
+        (408, "request_timeout"),
         (409, "noise_full"),
         (413, "upload_too_large"),
         (422, "noise_invalid"),
         (422, "option_invalid"),
+        (507, "noise_not_kept"),
     }
 
 
