@@ -77,7 +77,8 @@ class Served:
         line = announced.get(timeout=START_S)
         if MARK not in line:
             self.process.wait(END_S)
-            raise RuntimeError(f"the service did not start: {line}{self.log}")
+            with self._log:
+                raise RuntimeError(f"the service did not start: {line}{self.log}")
         self.url = line.partition(MARK)[2].strip()
         self.port = int(self.url.rpartition(":")[2])
 
