@@ -12,8 +12,8 @@ import httpx2
 import numpy as np
 import pytest
 from bench.fleet import ARRAY, RECORDING, Robot, fleet, until
-from bench.robots import start
 from bench.served import Footprint, Served
+from faults.requests_by_hand import BODY, HANDSHAKE, HEAD, START, UPGRADE, frame, send
 
 pytestmark = pytest.mark.faults
 
@@ -22,29 +22,11 @@ ROBOTS = 2
 BYTE_S = 0.5
 """Seconds between the bytes that keep a connection from being silent"""
 BODY_TIMEOUT_S = 5
-HEAD = b"POST /localize?array=respeaker-usb-4mic-v2 HTTP/1.1\r\nHost: x\r\n"
-BODY = HEAD + b"Content-Type: audio/wav\r\nContent-Length: 100000\r\n\r\n"
-UPGRADE = b"GET /stream HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-KEYS = (
-    b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Protocol: doa.v1\r\n"
-    b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
-)
-
-
-def frame(opcode: int, payload: bytes, length: int) -> bytes:
-    """A client's frame with a mask of zeros, declared longer than it is."""
-    return bytes((opcode, 0x80 | 126)) + length.to_bytes(2, "big") + bytes(4) + payload
-
-
-HALF_FRAME = UPGRADE + KEYS + frame(0x82, bytes(8), 4096)
-STARTED = start(100).encode()
-NEVER_READS = UPGRADE + KEYS + frame(0x81, STARTED, len(STARTED))
-
 ATTACKS = {
     "head": (HEAD, b"x", 10),
     "body": (BODY, b"x", BODY_TIMEOUT_S),
     "handshake": (UPGRADE, b"x", 10),
-    "half a frame": (HALF_FRAME, b"x", 40),
+    "half a frame": (HANDSHAKE + frame(0x82, bytes(8), 4096), b"x", 40),
     "silence": (b"", b"", 10),
 }
 """What is sent at once, what then drips, and the seconds after which it should be over"""
@@ -55,7 +37,7 @@ async def drip(port: int, first: bytes, byte: bytes) -> float:
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     began = time.monotonic()
     try:
-        writer.write(first)
+        await send(reader, writer, first)
         ended = asyncio.create_task(reader.read(-1))
         while not ended.done():
             writer.write(byte)
@@ -90,7 +72,9 @@ def test_slow_clients(figures: Callable[..., None], kind: str) -> None:
             await until(lambda: service.footprint().sockets <= before.sockets, "sockets are closed")
             return robots, began, [before, service.footprint(), answer, answered_s, kept]
 
-    with Served("--body-timeout", str(BODY_TIMEOUT_S), "--max-sessions", "256") as service:
+    with Served(
+        "--body-timeout", str(BODY_TIMEOUT_S), "--max-sessions", "256", "--stream-workers", "1"
+    ) as service:
         robots, began, (before, after, answer, answered_s, kept) = asyncio.run(scenario(service))
         assert "Traceback" not in service.log
     lags = [lag for robot in robots for lag in robot.lags_ms(began)]
@@ -122,11 +106,11 @@ def test_clients_that_never_read(figures: Callable[..., None]) -> None:
     places = 8
 
     async def mute(port: int) -> float:
-        _, writer = await asyncio.open_connection("127.0.0.1", port, limit=2**10)
+        reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=2**10)
         began = time.monotonic()
-        writer.transport.pause_reading()  # type: ignore[attr-defined]
         try:
-            writer.write(NEVER_READS.replace(b"}}", b', "include": ["spectrum"]}}'))
+            await send(reader, writer, HANDSHAKE + START)
+            writer.transport.pause_reading()  # type: ignore[attr-defined]
             while True:
                 writer.write(frame(0x82, bytes(4096), 4096))
                 async with asyncio.timeout(30):
