@@ -3,7 +3,7 @@
 DoaError
 ├─ ConfigError
 ├─ AudioError
-│  ├─ NotAudio · EmptyAudio · TruncatedAudio · NonFiniteAudio
+│  ├─ NotAudio · EmptyAudio · TruncatedAudio · NonFiniteAudio · DecodingFailed
 │  ├─ ChannelMismatch · TooManyChannels · UnsupportedSampleRate · AudioTooLong
 ├─ ArrayError
 │  └─ UnknownArray · InvalidGeometry · InvalidChannelMap
@@ -11,21 +11,29 @@ DoaError
 │  └─ UnknownModel · UnknownMethod · InvalidOption · TooManySources · GeometryMismatch
 ├─ NoiseError
 │  ├─ UnknownNoise · NoiseMismatch · NoiseProfileInvalid · NoiseCalibrationFailed
-│  └─ NoiseStoreFull · NoiseNotKept
+│  └─ NoiseStoreFull
 ├─ UploadError
 │  └─ MissingAudio · UploadTooLarge · UnsupportedMediaType · RequestTimeout
+├─ AccessError
+│  ├─ Unauthorized ─ KeyMissing · KeyUnknown · KeyExpired
+│  └─ RoleMissing · KeyInAddress · HostRefused · OriginRefused
+├─ KeyLimitError
+│  └─ TooManyUploads · AudioQuota
 ├─ StreamProtocolError
 │  └─ InvalidMessage · AudioBeforeStart · MessageTooBig · StreamTimeout · SessionLimit ·
-│     TooManySessions · OriginRefused · SubprotocolMissing · WorkerLost
+│     TooManySessions · SubprotocolMissing
 ├─ BundleError
-│  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed
+│  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed · ReloadRefused
 └─ CapacityError
-   └─ Overloaded · NotReady · Draining
+   └─ Overloaded · DiskFull · NotReady · Draining · WorkerLost
 
 ``service.client.errors`` adds those of the clients.
 """
 
 from __future__ import annotations
+
+UNEXPECTED = "the service failed; its log says why: please report it"
+"""Of errors that nobody foresaw; their cause stays in the log"""
 
 
 class DoaError(Exception):
@@ -39,6 +47,8 @@ class DoaError(Exception):
     title: str = "Internal error"
     retryable: bool = False
     close_code: int = 1011
+    retry_after_s: float | None = None
+    """Seconds after which the same request passes, where that is known"""
 
     def __init__(self, detail: str) -> None:
         super().__init__(detail)
@@ -80,6 +90,12 @@ class NonFiniteAudio(AudioError):
     """Samples are NaN, infinite or absurdly large."""
 
     code, title = "audio_non_finite", "Non-finite samples"
+
+
+class DecodingFailed(AudioError):
+    """The recording crashed its decoder, or kept it from ever getting on."""
+
+    code, title = "decoding_failed", "Decoding failed"
 
 
 class ChannelMismatch(AudioError):
@@ -202,12 +218,6 @@ class NoiseStoreFull(NoiseError):
     code, status, title = "noise_full", 409, "Too many noise profiles"
 
 
-class NoiseNotKept(NoiseError):
-    """The noise profile cannot be written to the service's folder."""
-
-    code, status, title = "noise_not_kept", 507, "Noise profile not kept"
-
-
 class UploadError(DoaError):
     """The request's body cannot be taken."""
 
@@ -236,6 +246,84 @@ class RequestTimeout(UploadError):
     """The request came too slowly."""
 
     code, status, title = "request_timeout", 408, "Request timeout"
+
+
+class AccessError(DoaError):
+    """Whoever asks may not have this."""
+
+    code, status, title = "access_refused", 403, "Access refused"
+    close_code = 4401
+
+
+class Unauthorized(AccessError):
+    """The request has no key that is good here; answered with ``WWW-Authenticate``."""
+
+    code, status, title = "unauthorized", 401, "Key needed"
+
+
+class KeyMissing(Unauthorized):
+    """The service asks for a key, and the request has none."""
+
+    code, title = "key_missing", "Key missing"
+
+
+class KeyUnknown(Unauthorized):
+    """The service has no such key, or has it no more."""
+
+    code, title = "key_unknown", "Unknown key"
+
+
+class KeyExpired(Unauthorized):
+    """The key was valid until a date that has passed."""
+
+    code, title = "key_expired", "Key expired"
+
+
+class RoleMissing(AccessError):
+    """The key is good, but not for this."""
+
+    code, title = "role_missing", "Role missing"
+
+
+class KeyInAddress(AccessError):
+    """A key was sent in the query, where logs and histories keep it."""
+
+    code, status, title = "key_in_address", 400, "Key in the address"
+
+
+class HostRefused(AccessError):
+    """The request names a host that this service is not."""
+
+    code, status, title = "host_refused", 421, "Unknown host"
+
+
+class OriginRefused(AccessError):
+    """A web page of this origin may not use the service."""
+
+    code, title, close_code = "origin_refused", "Origin refused", 1008
+
+
+class KeyLimitError(DoaError):
+    """The key has used what it may."""
+
+    code, status, title = "key_limit", 429, "Limit of the key reached"
+    close_code = 4429
+
+
+class TooManyUploads(KeyLimitError):
+    """As many uploads of this key are in work as it may have at a time."""
+
+    code, title = "too_many_uploads", "Too many uploads"
+
+
+class AudioQuota(KeyLimitError):
+    """The key has used its seconds of audio for now."""
+
+    code, title = "audio_quota", "Audio quota used up"
+
+    def __init__(self, detail: str, retry_after_s: float) -> None:
+        super().__init__(detail)
+        self.retry_after_s = retry_after_s
 
 
 class StreamProtocolError(DoaError):
@@ -282,22 +370,9 @@ class SessionLimit(StreamProtocolError):
 
 
 class TooManySessions(StreamProtocolError):
-    """This client has as many sessions as one client may have."""
+    """This client, or this key, has as many sessions as it may have."""
 
     code, status, title, close_code = "too_many_sessions", 429, "Too many sessions", 4429
-
-
-class OriginRefused(StreamProtocolError):
-    """A page of this origin may not open streams."""
-
-    code, status, title, close_code = "origin_refused", 403, "Origin refused", 1008
-
-
-class WorkerLost(StreamProtocolError):
-    """The process that computed a stream ended."""
-
-    code, status, title, retryable = "worker_lost", 503, "Worker lost", True
-    close_code = 1011
 
 
 class BundleError(DoaError):
@@ -330,6 +405,12 @@ class SelfTestFailed(BundleError):
     code, title = "self_test_failed", "Model self-test failed"
 
 
+class ReloadRefused(BundleError):
+    """The bundles on disk cannot be used; those that were loaded go on serving."""
+
+    code, status, title = "reload_refused", 409, "Reload refused"
+
+
 class CapacityError(DoaError):
     """The service is full; the same request may pass later."""
 
@@ -343,6 +424,12 @@ class Overloaded(CapacityError):
     code, title = "overloaded", "Overloaded"
 
 
+class DiskFull(CapacityError):
+    """What a client sent cannot be stored: the disk is full or refuses to be written."""
+
+    code, title = "disk_full", "Disk full"
+
+
 class NotReady(CapacityError):
     """The models are not loaded yet."""
 
@@ -354,3 +441,10 @@ class Draining(CapacityError):
 
     code, title = "draining", "Shutting down"
     close_code = 1012
+
+
+class WorkerLost(CapacityError):
+    """The process that computed a stream or localized a recording ended."""
+
+    code, title = "worker_lost", "Worker lost"
+    close_code = 1011

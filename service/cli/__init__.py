@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from service import __version__
-from service.cli import arrays, bench, bundle, check, localize, noise, serve, stream
+from service.cli import arrays, bench, bundle, check, key, localize, noise, serve, stream
 from service.errors import DoaError
 
 
@@ -33,7 +33,7 @@ class Command(Protocol):
     def run(self) -> Callable[[argparse.Namespace], int]: ...
 
 
-COMMANDS: tuple[Command, ...] = (serve, localize, check, noise, bundle, arrays, bench, stream)
+COMMANDS: tuple[Command, ...] = (serve, localize, check, noise, bundle, arrays, bench, stream, key)
 
 FAILED = 2
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it

@@ -23,7 +23,6 @@ from service.errors import (
     DoaError,
     InvalidMessage,
     MessageTooBig,
-    NoiseNotKept,
     NoiseStoreFull,
     SessionLimit,
     StreamTimeout,
@@ -318,7 +317,7 @@ class Session:
         if name is not None:
             try:
                 self._noise.put(name, noise)
-            except (NoiseStoreFull, NoiseNotKept) as error:
+            except (NoiseStoreFull, OSError) as error:
                 self._report.warn(
                     "calibration_failed",
                     f"the noise is used, but kept for this stream only: {error}",

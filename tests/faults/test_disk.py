@@ -92,7 +92,7 @@ def test_disk_full_of_uploads(figures: Callable[..., None], disk: Path) -> None:
         streams=f"{sum(robot.cut for robot in robots)} cut, {lost_s:.1f} s lost",
     )
     for answer in (refused, refused_raw):
-        assert (answer.status_code, answer.json()["code"]) == (503, "overloaded")
+        assert (answer.status_code, answer.json()["code"]) == (503, "disk_full")
         assert "no room" in answer.json()["detail"]
         assert "Retry-After" in answer.headers
     assert passed.status_code == passed_raw.status_code == later.status_code == 200
@@ -130,6 +130,6 @@ def test_disk_full_of_noise_profiles(figures: Callable[..., None], disk: Path) -
     assert full.calibrated[0].name is None
     assert not full.cut
     assert roomy.calibrated[0].name == "robot"
-    assert (put.status_code, put.json()["code"]) == (507, "noise_not_kept")
+    assert (put.status_code, put.json()["code"]) == (503, "disk_full")
     assert known == ["robot"]
     assert kept == ["robot.npz"]

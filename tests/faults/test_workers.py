@@ -82,7 +82,6 @@ def test_stream_worker_killed(figures: Callable[..., None]) -> None:
     assert "Traceback" not in log
 
 
-@pytest.mark.xfail(strict=True, reason="a stream worker that hangs is not noticed yet")
 def test_stream_worker_stopped(figures: Callable[..., None]) -> None:
     async def scenario(service: Served) -> tuple[list[Robot], float]:
         async with fleet(service.url, ROBOTS) as robots:
