@@ -12,6 +12,7 @@ from starlette.types import ASGIApp
 
 from service import __version__
 from service.api import admin, catalog, localize, metrics, noise, page, probes, sessions, stream
+from service.api.deadlines import BodyDeadline
 from service.api.guard import Guard
 from service.api.guard_contract import document_guard
 from service.api.limits import BodyLimit
@@ -88,6 +89,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
         generate_unique_id_function=_operation_id,
     )
     app.state.service = state
+    app.add_middleware(BodyDeadline, seconds=settings.body_timeout)
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
     app.add_middleware(Guard, settings=settings, keys=state.keys)
     install_problem_handlers(app)

@@ -15,6 +15,7 @@ from fastapi import FastAPI
 from service.api.hosts import is_loopback
 from service.api.state import ServiceState
 from service.app import create_app
+from service.connections import HttpProtocol, limit_untaken
 from service.errors import ReloadRefused
 from service.logs import configure_logging, server_log_level
 from service.settings import Settings
@@ -49,6 +50,8 @@ class Server(uvicorn.Server):
         await self._state.load()
         await self._state.start_workers()
         await super().startup(sockets)
+        for listening in (each for server in self.servers for each in server.sockets):
+            limit_untaken(listening)
         with suppress(NotImplementedError, ValueError, RuntimeError):  # no signals there
             asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, self._hang_up)
         if self._announce and self.started:
@@ -125,6 +128,7 @@ def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
         access_log=False,
         server_header=False,
         timeout_graceful_shutdown=GRACE + FAREWELL,
+        http=HttpProtocol,
         ws="websockets-sansio",
         ws_max_size=WS_MAX_SIZE,
         ws_per_message_deflate=False,
