@@ -75,6 +75,8 @@ def quiet_refusals(record: logging.LogRecord) -> bool:
 def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
     """How uvicorn runs the application."""
     logging.getLogger("uvicorn.error").addFilter(quiet_refusals)
+    # What is wrong with a form is said to its sender; others could fill the log with it.
+    logging.getLogger("python_multipart").setLevel(logging.ERROR)
     return uvicorn.Config(
         app,
         host=settings.host,
