@@ -42,11 +42,21 @@ TAGS = [
 
 
 class DocumentedApp(FastAPI):
-    """FastAPI whose document defines ``Problem``, which no endpoint's type mentions."""
+    """FastAPI whose document says what is answered: problems, and no others than there are."""
 
     def openapi(self) -> dict[str, Any]:
         document = super().openapi()
-        document["components"]["schemas"].setdefault("Problem", Problem.model_json_schema())
+        schemas = document["components"]["schemas"]
+        schemas.setdefault("Problem", Problem.model_json_schema())
+        # FastAPI promises its own 422 wherever there is a parameter, were it any text.
+        if schemas.pop("HTTPValidationError", None):
+            del schemas["ValidationError"]
+            for path in document["paths"].values():
+                for operation in path.values():
+                    if "application/json" in operation["responses"].get("422", {}).get(
+                        "content", {}
+                    ):
+                        del operation["responses"]["422"]
         return document
 
 
