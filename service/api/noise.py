@@ -15,6 +15,7 @@ from service.api.problems import problem_responses
 from service.api.schemas import Answer
 from service.api.state import state_of
 from service.errors import (
+    DiskFull,
     InvalidOption,
     NoiseProfileInvalid,
     NoiseStoreFull,
@@ -88,7 +89,9 @@ async def get_noise(request: Request, name: Name) -> Response:
 @router.put(
     "/noise/{name}",
     summary="Store a noise profile",
-    responses=problem_responses(InvalidOption, NoiseProfileInvalid, NoiseStoreFull, UploadTooLarge),
+    responses=problem_responses(
+        InvalidOption, NoiseProfileInvalid, NoiseStoreFull, UploadTooLarge, DiskFull
+    ),
     openapi_extra={"requestBody": {"required": True, "content": {MEDIA_TYPE: BINARY}}},
 )
 async def put_noise(request: Request, name: Name) -> NoiseAnswer:
@@ -100,7 +103,11 @@ async def put_noise(request: Request, name: Name) -> NoiseAnswer:
             raise UploadTooLarge(f"a noise profile has at most {MAX_BYTES} bytes")
 
     def store() -> StoredNoise:
-        return _store(request).put(name, load_noise(io.BytesIO(body)))
+        noise = load_noise(io.BytesIO(body))
+        try:
+            return _store(request).put(name, noise)
+        except OSError as error:
+            raise DiskFull("there is no room to store the profile: try again later") from error
 
     return NoiseAnswer.of(await anyio.to_thread.run_sync(store))
 

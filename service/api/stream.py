@@ -11,7 +11,10 @@ from service.api.origins import check_origin
 from service.api.outbox import Outbox, message_json
 from service.api.problems import problem_response
 from service.api.state import ServiceState
-from service.errors import DoaError, SubprotocolMissing, TooManySessions
+from service.api.stream_watch import StreamWatch
+from service.api.stream_workers import worker_lost
+from service.errors import DoaError, StreamTimeout, SubprotocolMissing, TooManySessions
+from service.logs import session_id
 from service.protocol import SUBPROTOCOL
 from service.protocol.close_codes import CloseCode
 from service.protocol.server_messages import OdasSsl, OdasSst, Result, ServerMessage, Stats
@@ -66,6 +69,7 @@ class Connection:
         settings = state.settings
         self._websocket = websocket
         self._loop = asyncio.get_running_loop()
+        self._stream_workers = state.stream_workers
         self._worker = state.stream_workers.assign()
         self._worker.sessions += 1
         self._streams = state.streams
@@ -74,8 +78,11 @@ class Connection:
         self._room = asyncio.Event()
         self._room.set()  # the first message has room before anything was pumped
         reporter = self._reporter = Reporter(self._emit)
+        ident = self._streams.new_id()
+        session_id.set(ident)  # the task is this stream's alone
+        self._watch = StreamWatch(state.metrics, reporter.account, self._loop.time)
         self.session = Session(
-            self._streams.new_id(),
+            ident,
             reporter,
             state.noise,
             SessionLimits(settings.stream_buffer, settings.idle_timeout, settings.max_session),
@@ -89,7 +96,9 @@ class Connection:
         try:
             await self._websocket.accept(subprotocol=SUBPROTOCOL)
             tasks += [asyncio.create_task(each()) for each in (self._read, self._write, self._tick)]
-            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            if any(isinstance(task.exception(), TimeoutError) for task in done):
+                self.session.fail(StreamTimeout(f"nothing was read for {SEND_TIMEOUT_S:g} s"))
         finally:
             for task in tasks:
                 task.cancel()
@@ -98,8 +107,9 @@ class Connection:
             with suppress(RuntimeError, WebSocketDisconnect):  # it is closed already
                 await self._websocket.close(CloseCode.TIMEOUT)
             self._worker.submit(Close(self.session.id))
-            self._worker.sessions -= 1
+            self._stream_workers.release(self._worker)
             self._streams.end(self._entry)
+            self._watch.ended(self._entry.client)
 
     def pump(self) -> None:
         """Hand out the session's next work, make room, close what is closed."""
@@ -122,7 +132,8 @@ class Connection:
 
     def _emit(self, message: ServerMessage) -> None:
         text = message_json(message, spectrum="spectrum" in self.session.output.include)
-        dropped = self._outbox.put(text, droppable=isinstance(message, DROPPABLE))
+        arrived = self._watch.said(message, self._entry.client)
+        dropped = self._outbox.put(text, droppable=isinstance(message, DROPPABLE), arrived=arrived)
         self._reporter.account.results_dropped += dropped
         self._entry.observe(message)
 
@@ -147,6 +158,7 @@ class Connection:
             data, text = received.get("bytes"), received.get("text")
             if data is not None:
                 self.session.receive_bytes(data, now)
+                self._watch.heard()
             elif text is not None:
                 self.session.receive_text(text, now)
                 self._check_client()
@@ -166,15 +178,20 @@ class Connection:
             )
 
     async def _write(self) -> None:
-        while (text := await self._outbox.get()) is not None:
+        while (message := await self._outbox.get()) is not None:
             # A client that reads nothing is cut off; nothing more could be said to it.
             async with asyncio.timeout(SEND_TIMEOUT_S):
-                await self._websocket.send_text(text)
+                await self._websocket.send_text(message.text)
+            self._watch.sent(message.arrived)
         assert self.session.close_code is not None
         await self._websocket.close(self.session.close_code)
 
     async def _tick(self) -> None:
         while True:
             await asyncio.sleep(TICK_S)
-            self.session.tick(self._loop.time())
+            now = self._loop.time()
+            self.session.tick(now)
+            self._worker.watch(now)
+            if self._worker.lost:  # a stream that is waiting for audio would not notice
+                self.session.fail(worker_lost())
             self.pump()

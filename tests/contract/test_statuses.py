@@ -10,8 +10,9 @@ import json
 import re
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from errno import ENOSPC
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -28,6 +29,7 @@ from websockets.sync.client import connect
 from service.doa.presets import preset
 from service.doa.stft import Stft
 from service.doa.whitening import NoiseCovariance
+from service.errors import BundleNotFound
 from service.inference.noise_profile import noise_bytes
 from service.inference.noise_store import CAPACITY
 from service.settings import Settings
@@ -78,6 +80,9 @@ def profile() -> bytes:
     return noise_bytes(NoiseCovariance(covariance, preset(ARRAY), stft, 1.0))
 
 
+State = Callable[[Subject], AbstractContextManager[None]]
+
+
 @contextmanager
 def draining(subject: Subject) -> Iterator[None]:
     with patch.object(subject.service.state.streams, "draining", True):
@@ -91,19 +96,27 @@ def not_ready(subject: Subject) -> Iterator[None]:
     subject.service.state.registry = registry
 
 
-@contextmanager
-def broken(_: Subject) -> Iterator[None]:
-    """A defect of the service, which there is no honest request for."""
-    with patch("service.api.localize.read_options", side_effect=ZeroDivisionError):
-        yield
+def failing(place: str, error: Exception) -> State:
+    """A defect, or a fault of the machine, which there is no honest request for."""
 
+    @contextmanager
+    def state(_: Subject) -> Iterator[None]:
+        with patch(place, side_effect=error):
+            yield
+
+    return state
+
+
+BROKEN = failing("service.api.localize.read_options", ZeroDivisionError())
+DISK_FULL = failing(
+    "service.inference.noise_store.NoiseStore.put", OSError(ENOSPC, "No space left on device")
+)
+NO_BUNDLE = failing("service.api.state.load_registry", BundleNotFound("no such folder"))
 
 Ask = Callable[[Subject], httpx2.Response]
 
 
-def ask(
-    method: str, path: str, during: Callable[[Subject], Any] | None = None, **request: Any
-) -> Ask:
+def ask(method: str, path: str, during: State | None = None, **request: Any) -> Ask:
     """A request, in whatever state the service is to be in."""
 
     def send(subject: Subject) -> httpx2.Response:
@@ -173,7 +186,7 @@ REQUESTS: dict[tuple[str, str, int], Ask] = {
     ("post", "/localize", 413): lambda s: s.localize(bytes(LIMIT + 1)),
     ("post", "/localize", 415): lambda s: s.localize(b"x", "text/plain"),
     ("post", "/localize", 422): lambda s: s.localize(b""),
-    ("post", "/localize", 500): ask("POST", "/localize", broken, content=b"x"),
+    ("post", "/localize", 500): ask("POST", "/localize", BROKEN, content=b"x"),
     ("post", "/localize", 503): while_busy,
     ("get", "/sessions", 200): ask("GET", "/sessions"),
     ("get", "/sessions/{session_id}/events", 200): of_a_stream("events"),
@@ -188,6 +201,7 @@ REQUESTS: dict[tuple[str, str, int], Ask] = {
     ("put", "/noise/{name}", 409): one_too_many,
     ("put", "/noise/{name}", 413): ask("PUT", "/noise/one", content=bytes(LIMIT + 1)),
     ("put", "/noise/{name}", 422): ask("PUT", "/noise/one", content=b"x"),
+    ("put", "/noise/{name}", 503): ask("PUT", "/noise/one", DISK_FULL, content=profile()),
     ("delete", "/noise/{name}", 204): named("DELETE"),
     ("delete", "/noise/{name}", 404): ask("DELETE", "/noise/none"),
     ("get", "/models", 200): ask("GET", "/models"),
@@ -196,10 +210,14 @@ REQUESTS: dict[tuple[str, str, int], Ask] = {
     ("get", "/models/{name}", 404): ask("GET", "/models/none"),
     ("get", "/models/{name}", 503): ask("GET", "/models/any-array", not_ready),
     ("get", "/arrays", 200): ask("GET", "/arrays"),
+    ("post", "/admin/reload", 200): ask("POST", "/admin/reload"),
+    ("post", "/admin/reload", 409): ask("POST", "/admin/reload", NO_BUNDLE),
+    ("post", "/admin/reload", 503): ask("POST", "/admin/reload", draining),
     ("get", "/livez", 200): ask("GET", "/livez"),
     ("get", "/readyz", 200): ask("GET", "/readyz"),
     ("get", "/readyz", 503): ask("GET", "/readyz", draining),
     ("get", "/asyncapi.json", 200): ask("GET", "/asyncapi.json"),
+    ("get", "/metrics", 200): ask("GET", "/metrics"),
     ("get", "/", 200): ask("GET", "/"),
 }
 """By method, path and status: a request that gets it"""
@@ -225,9 +243,7 @@ def test_every_documented_status_has_its_request() -> None:
 
 
 @pytest.mark.parametrize("place", REQUESTS, ids=lambda place: " ".join(map(str, place)))
-def test_a_documented_status_is_real(
-    place: tuple[str, str, int], subject: Subject, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_documented_status_is_real(place: tuple[str, str, int], subject: Subject) -> None:
     method, path, status = place
     answer = REQUESTS[place](subject)
     assert answer.status_code == status, answer.text
