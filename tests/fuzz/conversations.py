@@ -28,6 +28,8 @@ REQUESTS = (
     "GET /stream HTTP/1.0",
     "GET //stream HTTP/1.1",
     f"GET /stream?{'q' * 3000} HTTP/1.1",
+    "GET /str\xe9am HTTP/1.1",
+    "GET /stream?\xff HTTP/1.1",
     "GET /localize HTTP/1.1",
     "FROB /stream HTTP/1.1",
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from copy import deepcopy
 from random import Random
 from typing import Any
 
@@ -97,7 +98,7 @@ def tuned(random: Random) -> dict[str, Any]:
             part = message["array"]
         elif name in OutputOptions.model_fields:
             part = message.setdefault("output", {})
-        part[name] = random.choice(TUNED[name])
+        part[name] = deepcopy(random.choice(TUNED[name]))
     return message
 
 
@@ -113,9 +114,9 @@ def spoiled(message: dict[str, Any], random: Random) -> str:
         elif aim < 0.3:
             part[random.choice((name.upper(), name + "\x00", "é", "", "x" * 3000))] = 1
         elif aim < 0.5 and name in TUNED:
-            part[name] = random.choice(TUNED[name])
+            part[name] = deepcopy(random.choice(TUNED[name]))
         else:
-            part[name] = random.choice(ODD)
+            part[name] = deepcopy(random.choice(ODD))
     text = json.dumps(message, ensure_ascii=random.random() < 0.8 or _has_surrogate(message))
     aim = random.random()
     if aim < 0.7:
