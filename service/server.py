@@ -108,17 +108,24 @@ def warn_if_open(settings: Settings) -> None:
 def worth_a_line(record: logging.LogRecord) -> bool:
     """Whether uvicorn's line is worth one; the application logs requests and streams itself.
 
-    uvicorn takes a handshake that was refused with a response for one that was forgotten, and
-    shows handshakes with their query.
+    uvicorn takes a handshake that was refused with a response for one that was forgotten,
+    shows handshakes with their query, and a client's text that is no UTF-8 with a traceback.
     """
     return not str(record.msg).startswith(
-        ('%s - "WebSocket ', "connection ", "ASGI callable returned without completing handshake")
+        (
+            '%s - "WebSocket ',
+            "connection ",
+            "ASGI callable returned without completing handshake",
+            "Invalid UTF-8 sequence received from client",
+        )
     )
 
 
 def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
     """How uvicorn runs the application."""
     logging.getLogger("uvicorn.error").addFilter(worth_a_line)
+    # What is wrong with a form is said to its sender; others could fill the log with it.
+    logging.getLogger("python_multipart").setLevel(logging.ERROR)
     return uvicorn.Config(
         app,
         host=settings.host,
