@@ -44,7 +44,7 @@ test: install
 	$(BIN)/python -m pytest
 
 test-docker: install
-	$(BIN)/python -m pytest -m docker
+	$(BIN)/python -m pytest -m docker -rs
 
 lint: install
 	$(BIN)/ruff check .
