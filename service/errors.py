@@ -3,7 +3,7 @@
 DoaError
 ├─ ConfigError
 ├─ AudioError
-│  ├─ NotAudio · EmptyAudio · TruncatedAudio · NonFiniteAudio
+│  ├─ NotAudio · EmptyAudio · TruncatedAudio · NonFiniteAudio · RecordingUnreadable
 │  ├─ ChannelMismatch · TooManyChannels · UnsupportedSampleRate · AudioTooLong
 ├─ ArrayError
 │  └─ UnknownArray · InvalidGeometry · InvalidChannelMap
@@ -80,6 +80,12 @@ class NonFiniteAudio(AudioError):
     """Samples are NaN, infinite or absurdly large."""
 
     code, title = "audio_non_finite", "Non-finite samples"
+
+
+class RecordingUnreadable(AudioError):
+    """The file of a recording cannot be opened where it is to be localized."""
+
+    code, title = "recording_unreadable", "Unreadable recording"
 
 
 class ChannelMismatch(AudioError):
