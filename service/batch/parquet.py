@@ -154,13 +154,15 @@ class ParquetResult:
 
 
 def rows_of(record: Record) -> Iterator[dict[str, Any]]:
-    """The rows of a recording; a silent window, and one with an error, has one row, too."""
+    """The rows of a recording: one a source, and one of a silent window or where there is none."""
     row: dict[str, Any] = {**dict.fromkeys(COLUMNS), **{name: record[name] for name in KEY}}
     if record["error"]:
         yield {**row, **{f"error_{name}": text for name, text in record["error"].items()}}
         return
     row |= record["audio"]
     row["warnings"] = ",".join(warning["code"] for warning in record["warnings"])
+    if not record["windows"]:  # a few samples, of which resampling left none
+        yield row
     for index, window in enumerate(record["windows"]):
         place = {name: window[name] for name in ("t_start", "t_end", "num_sources")}
         heard: Iterable[dict[str, Any]] = window["sources"] or ({},)
