@@ -11,26 +11,29 @@ from service.batch.plan import Plan
 from service.batch.record import Record, RecordingLocalizer, failed
 from service.errors import ConfigError, DoaError, WorkerLost
 
+LOST = (
+    "the process that localized this recording ended: the file may be damaged, or memory short; "
+    "run the same command again to try it once more"
+)
+
 
 class RecordingActor:
-    """A process of the cluster; it loads the bundles when it is first needed."""
+    """A process of the cluster."""
 
-    def __init__(self, plan: Plan) -> None:
-        self._plan = plan
+    def __init__(self) -> None:
         self._localizer: RecordingLocalizer | None = None
 
-    def begin(self) -> DoaError | None:
+    def begin(self, plan: Plan) -> DoaError | None:
         """Load the bundles; gives what is wrong with them."""
         try:
-            self._localizer = RecordingLocalizer(self._plan)
+            self._localizer = RecordingLocalizer(plan)
         except DoaError as error:
             return error
         return None
 
     def record(self, found: FoundRecording) -> Record:
         """Localize one recording."""
-        # Ray started the process again after a recording that brought it down.
-        self._localizer = self._localizer or RecordingLocalizer(self._plan)
+        assert self._localizer is not None
         return self._localizer.record(found)
 
 
@@ -59,41 +62,58 @@ def localize_on_ray(
         ray.init(include_dashboard=False, log_to_driver=False, logging_level="error")
     try:
         count = min(jobs or int(ray.cluster_resources().get("CPU", 1)), len(recordings))
-        kind = ray.remote(num_cpus=1, max_restarts=-1)(RecordingActor)
-        sent = ray.put(plan)
-        actors = [kind.remote(sent) for _ in range(count)]
-        error = ray.get(actors[0].begin.remote())
-        if error is not None:
-            raise error
-        yield from _records(ray, plan, actors, deque(recordings))
+        yield from _records(ray, plan, count, deque(recordings))
     finally:
         if ours:
             ray.shutdown()
 
 
-def _records(
-    ray: Any, plan: Plan, actors: list[Any], waiting: deque[FoundRecording]
-) -> Iterator[Record]:
-    """One recording at a time for every actor, so that a lost one tells which it was at."""
+def _records(ray: Any, plan: Plan, count: int, waiting: deque[FoundRecording]) -> Iterator[Record]:
+    """One recording at a time for every actor: one that dies is that recording's error.
+
+    None is given to an actor that has not begun: the cluster may have no CPU for it yet.
+    """
+    kind, sent = ray.remote(num_cpus=1)(RecordingActor), ray.put(plan)
+    beginning = {actor.begin.remote(sent): actor for actor in (kind.remote() for _ in range(count))}
     running: dict[Any, tuple[Any, FoundRecording]] = {}
-    idle = list(actors)
     while waiting or running:
-        while waiting and idle:
-            actor, found = idle.pop(), waiting.popleft()
+        (done,), _ = ray.wait([*beginning, *running], num_returns=1)
+        record = None
+        if done in beginning:
+            actor = beginning.pop(done)
+            _check_begun(ray, done)
+        else:
+            actor, found = running.pop(done)
+            record = _record(ray, done)
+            if record is None:
+                actor = kind.remote()
+                beginning[actor.begin.remote(sent)] = actor
+                yield failed(found, plan, WorkerLost(LOST))
+                continue
+        if waiting:
+            found = waiting.popleft()
             running[actor.record.remote(found)] = actor, found
-        (done,), _ = ray.wait(list(running), num_returns=1)
-        actor, found = running.pop(done)
-        idle.append(actor)
-        try:
-            yield ray.get(done)
-        except ray.exceptions.RayActorError:
-            yield failed(found, plan, WorkerLost(LOST))
+        if record is not None:
+            yield record
 
 
-LOST = (
-    "the process that localized this recording ended: the file may be damaged, or memory short; "
-    "run the same command again to try it once more"
-)
+def _check_begun(ray: Any, done: Any) -> None:
+    """Raise what is wrong with an actor's bundles."""
+    try:
+        error = ray.get(done)
+    except ray.exceptions.RayActorError as lost:
+        raise WorkerLost(f"an actor ended before it could begin: {lost}") from None
+    if error is not None:
+        raise error
+
+
+def _record(ray: Any, done: Any) -> Record | None:
+    """A record, or None where its actor ended over it."""
+    try:
+        record: Record = ray.get(done)
+    except ray.exceptions.RayActorError:
+        return None
+    return record
 
 
 def _ray() -> Any:

@@ -93,8 +93,9 @@ def test_a_killed_run_goes_on_where_it_was(
     archive: Path, write_talker: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It is killed once it has told of ``empty.wav``, whose record it has written before."""
-    for name in ("a", "b", *(f"later-{number}" for number in range(9))):
-        write_talker(archive / f"{name}.wav", seconds=3.0)
+    for name in ("a", "b"):
+        write_talker(archive / f"{name}.wav")
+    write_talker(archive / "f.wav", seconds=60.0)
     flags = ["batch", "archive/*.wav", *FLAGS, "--jobs", "1", "--out", "out.jsonl"]
     code = "import sys; from service.cli import main; sys.exit(main())"
     command = [sys.executable, "-c", code, *flags]
@@ -103,7 +104,7 @@ def test_a_killed_run_goes_on_where_it_was(
         assert "empty.wav: not_audio" in running.stderr.readline()
         running.kill()
     done = whole_lines(Path("out.jsonl"))
-    assert 3 <= len(done) < 13
+    assert len(done) >= 3
     run(capsys, *flags)
     after = whole_lines(Path("out.jsonl"))
     assert after[: len(done)] == done
