@@ -6,22 +6,16 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
-import anyio.to_thread
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
 from service import __version__
-from service.api import catalog, localize, noise, page, probes, sessions, stream
+from service.api import admin, catalog, localize, noise, page, probes, sessions, stream
 from service.api.limits import BodyLimit
 from service.api.problems import Problem, install_problem_handlers
 from service.api.state import ServiceState
-from service.api.stream_workers import StreamWorkers
-from service.api.workers import WorkerPool
-from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.settings import Settings, load_settings
-from service.startup import load_registry
-from service.streaming.registry import SessionRegistry
 
 DESCRIPTION = """
 Directions of arrival from microphone array audio, with a neural covariance model and MUSIC or with
@@ -53,21 +47,15 @@ class DocumentedApp(FastAPI):
 def create_app(settings: Settings | None = None, registry: BundleRegistry | None = None) -> FastAPI:
     """The application; without a registry it loads its bundles at startup."""
     settings = settings or load_settings()
-    state = ServiceState(
-        settings,
-        WorkerPool(settings.workers, settings.queue),
-        SessionRegistry(settings.max_sessions),
-        StreamWorkers(settings),
-        registry,
-        NoiseStore(settings.noise_folder),
-    )
+    state = ServiceState.of(settings)
+    if registry is not None:
+        state.install(registry)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        if state.registry is None:
-            state.registry = await anyio.to_thread.run_sync(load_registry, settings)
+        await state.load()
         yield
-        await state.stream_workers.stop()
+        await state.stop()
 
     app = DocumentedApp(
         title="NeuralMUSIC Service",
@@ -83,7 +71,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
     app.state.service = state
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
     install_problem_handlers(app)
-    for each in (localize, stream, sessions, noise, catalog, probes, page):
+    for each in (localize, stream, sessions, noise, catalog, admin, probes, page):
         app.include_router(each.router)
     return app
 

@@ -3,7 +3,8 @@
 DoaError
 ├─ ConfigError
 ├─ AudioError
-│  ├─ NotAudio · EmptyAudio · TruncatedAudio · NonFiniteAudio · RecordingUnreadable
+│  ├─ NotAudio · EmptyAudio · TruncatedAudio · NonFiniteAudio · DecodingFailed ·
+│  │  RecordingUnreadable
 │  ├─ ChannelMismatch · TooManyChannels · UnsupportedSampleRate · AudioTooLong
 ├─ ArrayError
 │  └─ UnknownArray · InvalidGeometry · InvalidChannelMap
@@ -16,16 +17,19 @@ DoaError
 │  └─ MissingAudio · UploadTooLarge · UnsupportedMediaType
 ├─ StreamProtocolError
 │  └─ InvalidMessage · AudioBeforeStart · MessageTooBig · StreamTimeout · SessionLimit ·
-│     TooManySessions · OriginRefused · SubprotocolMissing · WorkerLost
+│     TooManySessions · OriginRefused · SubprotocolMissing
 ├─ BundleError
-│  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed
+│  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed · ReloadRefused
 └─ CapacityError
-   └─ Overloaded · NotReady · Draining
+   └─ Overloaded · NotReady · Draining · WorkerLost
 
 ``service.client.errors`` adds those of the clients.
 """
 
 from __future__ import annotations
+
+UNEXPECTED = "the service failed; its log says why: please report it"
+"""Of errors that nobody foresaw; their cause stays in the log"""
 
 
 class DoaError(Exception):
@@ -80,6 +84,12 @@ class NonFiniteAudio(AudioError):
     """Samples are NaN, infinite or absurdly large."""
 
     code, title = "audio_non_finite", "Non-finite samples"
+
+
+class DecodingFailed(AudioError):
+    """The recording crashed its decoder, or kept it from ever getting on."""
+
+    code, title = "decoding_failed", "Decoding failed"
 
 
 class RecordingUnreadable(AudioError):
@@ -287,13 +297,6 @@ class OriginRefused(StreamProtocolError):
     code, status, title, close_code = "origin_refused", 403, "Origin refused", 1008
 
 
-class WorkerLost(StreamProtocolError):
-    """The process that computed a stream ended."""
-
-    code, status, title, retryable = "worker_lost", 503, "Worker lost", True
-    close_code = 1011
-
-
 class BundleError(DoaError):
     """A model bundle cannot be used."""
 
@@ -324,6 +327,12 @@ class SelfTestFailed(BundleError):
     code, title = "self_test_failed", "Model self-test failed"
 
 
+class ReloadRefused(BundleError):
+    """The bundles on disk cannot be used; those that were loaded go on serving."""
+
+    code, status, title = "reload_refused", 409, "Reload refused"
+
+
 class CapacityError(DoaError):
     """The service is full; the same request may pass later."""
 
@@ -348,3 +357,10 @@ class Draining(CapacityError):
 
     code, title = "draining", "Shutting down"
     close_code = 1012
+
+
+class WorkerLost(CapacityError):
+    """The process that computed a stream or localized a recording ended."""
+
+    code, title = "worker_lost", "Worker lost"
+    close_code = 1011

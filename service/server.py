@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import signal
 import socket
 from collections.abc import Callable
 from contextlib import suppress
@@ -13,6 +14,7 @@ from fastapi import FastAPI
 
 from service.api.state import ServiceState
 from service.app import create_app
+from service.errors import ReloadRefused
 from service.settings import Settings
 from service.startup import load_registry
 
@@ -37,16 +39,31 @@ class Server(uvicorn.Server):
         super().__init__(config)
         self._state = state
         self._announce = announce
+        self._reloads: set[asyncio.Task[None]] = set()
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        await self._state.stream_workers.start()
+        await self._state.load()
+        await self._state.start_workers()
         await super().startup(sockets)
+        with suppress(NotImplementedError, ValueError, RuntimeError):  # no signals there
+            asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, self._hang_up)
         if self._announce and self.started:
             host, port = self.servers[0].sockets[0].getsockname()[:2]
             self._announce(f"http://{f'[{host}]' if ':' in host else host}:{port}")
 
+    def _hang_up(self) -> None:
+        """SIGHUP: read the models again, as daemons read their configuration."""
+
+        async def reload() -> None:
+            with suppress(ReloadRefused):  # it was logged
+                await self._state.reload()
+
+        task = asyncio.get_running_loop().create_task(reload())
+        self._reloads.add(task)
+        task.add_done_callback(self._reloads.discard)
+
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        asyncio.get_running_loop().call_later(GRACE, self._state.workers.stop)
+        asyncio.get_running_loop().call_later(GRACE, self._state.recording_workers.drain)
         # uvicorn would cut the sockets before the application hears of it.
         self._state.streams.drain()
         with suppress(TimeoutError):

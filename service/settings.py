@@ -62,6 +62,8 @@ class Settings(BaseSettings):
     """onnxruntime threads of each worker"""
     queue: int = Field(16, ge=0, le=10_000)
     """Requests that may wait for a worker; further ones get 503"""
+    stall_timeout: float = Field(60.0, ge=1, le=3600)
+    """Seconds without progress after which the worker of a recording is ended"""
     max_upload_bytes: int = Field(512 * 2**20, ge=1024)
     """Largest request body in bytes"""
     max_seconds: float = Field(3600.0, gt=0, le=86_400)

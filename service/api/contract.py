@@ -8,6 +8,7 @@ from service.api.options import OPTIONS, Option
 from service.errors import (
     AudioTooLong,
     ChannelMismatch,
+    DecodingFailed,
     DoaError,
     Draining,
     EmptyAudio,
@@ -32,6 +33,7 @@ from service.errors import (
     UnsupportedSampleRate,
     UploadError,
     UploadTooLarge,
+    WorkerLost,
 )
 
 LOCALIZE_ERRORS: tuple[type[DoaError], ...] = (
@@ -43,6 +45,7 @@ LOCALIZE_ERRORS: tuple[type[DoaError], ...] = (
     EmptyAudio,
     TruncatedAudio,
     NonFiniteAudio,
+    DecodingFailed,
     AudioTooLong,
     TooManyChannels,
     UnsupportedSampleRate,
@@ -60,6 +63,7 @@ LOCALIZE_ERRORS: tuple[type[DoaError], ...] = (
     Overloaded,
     NotReady,
     Draining,
+    WorkerLost,
     DoaError,
 )
 

@@ -13,13 +13,12 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
 
-from service.errors import DoaError, InvalidOption
+from service.errors import UNEXPECTED, DoaError, InvalidOption
 
 MEDIA_TYPE = "application/problem+json"
 TYPE_PREFIX = "urn:neuralmusic:problem:"
 RETRY_AFTER = 2
 """Seconds; a worker localizes minutes of audio in that time"""
-UNEXPECTED = "the service failed on this request; its log says why: please report it"
 
 
 class Problem(BaseModel):

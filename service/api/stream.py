@@ -11,6 +11,7 @@ from service.api.origins import check_origin
 from service.api.outbox import Outbox, message_json
 from service.api.problems import problem_response
 from service.api.state import ServiceState
+from service.api.stream_workers import worker_lost
 from service.errors import DoaError, SubprotocolMissing, TooManySessions
 from service.protocol import SUBPROTOCOL
 from service.protocol.close_codes import CloseCode
@@ -66,6 +67,7 @@ class Connection:
         settings = state.settings
         self._websocket = websocket
         self._loop = asyncio.get_running_loop()
+        self._stream_workers = state.stream_workers
         self._worker = state.stream_workers.assign()
         self._worker.sessions += 1
         self._streams = state.streams
@@ -98,7 +100,7 @@ class Connection:
             with suppress(RuntimeError, WebSocketDisconnect):  # it is closed already
                 await self._websocket.close(CloseCode.TIMEOUT)
             self._worker.submit(Close(self.session.id))
-            self._worker.sessions -= 1
+            self._stream_workers.release(self._worker)
             self._streams.end(self._entry)
 
     def pump(self) -> None:
@@ -176,5 +178,9 @@ class Connection:
     async def _tick(self) -> None:
         while True:
             await asyncio.sleep(TICK_S)
-            self.session.tick(self._loop.time())
+            now = self._loop.time()
+            self.session.tick(now)
+            self._worker.watch(now)
+            if self._worker.lost:  # a stream that is waiting for audio would not notice
+                self.session.fail(worker_lost())
             self.pump()

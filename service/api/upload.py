@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
-from tempfile import SpooledTemporaryFile
+from tempfile import TemporaryFile
 from typing import BinaryIO
 
 from starlette.datastructures import FormData, UploadFile
@@ -22,8 +22,6 @@ from service.errors import (
 )
 
 FIELD = "audio"
-SPOOL_BYTES = 2**20
-"""A body up to this size stays in memory"""
 MAX_FIELDS = 32
 MAX_FILES = 4
 MAX_FIELD_BYTES = 64 * 2**10
@@ -57,6 +55,9 @@ async def read_upload(request: Request) -> AsyncIterator[Upload]:
         try:
             body = _form(request) if is_form else _raw(request)
             upload, size = await stack.enter_async_context(body)
+            # A worker process gets the descriptor of a real file, which has no name.
+            upload.file.fileno()
+            upload.file.flush()
         except OSError as error:
             raise Overloaded("there is no room to store the upload: try again later") from error
         if not size:
@@ -102,8 +103,8 @@ async def _form(request: Request) -> AsyncIterator[tuple[Upload, int]]:
 @asynccontextmanager
 async def _raw(request: Request) -> AsyncIterator[tuple[Upload, int]]:
     """The whole body as the recording, with its size in bytes."""
-    with SpooledTemporaryFile(SPOOL_BYTES) as file:
-        spooled = UploadFile(file, size=0)  # type: ignore[arg-type]
+    with TemporaryFile() as file:
+        spooled = UploadFile(file, size=0)
         async for chunk in request.stream():
             await spooled.write(chunk)
         await spooled.seek(0)

@@ -54,6 +54,7 @@ def test_every_path_of_the_protocol_is_there(document: Any) -> None:
         "/sessions",
         "/sessions/{session_id}/events",
         "/sessions/{session_id}/export",
+        "/admin/reload",
         "/",
     }
 
