@@ -37,7 +37,7 @@ def replica_app() -> FastAPI:
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         async with loading(app):
-            await state.stream_workers.start()
+            await state.start_workers()
             watching = asyncio.create_task(drain_once_stopped(state))
             yield
             watching.cancel()

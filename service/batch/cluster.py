@@ -8,33 +8,30 @@ from typing import Any
 
 from service.batch.archive import FoundRecording
 from service.batch.plan import Plan
-from service.batch.record import Record, RecordingLocalizer, failed
-from service.errors import ConfigError, DoaError, WorkerLost
+from service.batch.record import Record, failed
+from service.batch.worker import BatchWorker
+from service.errors import ConfigError, WorkerLost
 
 LOST = (
-    "the process that localized this recording ended: the file may be damaged, or memory short; "
-    "run the same command again to try it once more"
+    "the process that localized this recording ended: run the same command again to try it once "
+    "more"
 )
 
 
 class RecordingActor:
-    """A process of the cluster."""
+    """A worker of the cluster; its own process outlives whatever a recording does to a decoder."""
 
     def __init__(self) -> None:
-        self._localizer: RecordingLocalizer | None = None
+        self._worker: BatchWorker | None = None
 
-    def begin(self, plan: Plan) -> DoaError | None:
-        """Load the bundles; gives what is wrong with them."""
-        try:
-            self._localizer = RecordingLocalizer(plan)
-        except DoaError as error:
-            return error
-        return None
+    def begin(self, plan: Plan) -> None:
+        """Start the worker; WorkerLost where it does not come up."""
+        self._worker = BatchWorker(plan)
 
     def record(self, found: FoundRecording) -> Record:
         """Localize one recording."""
-        assert self._localizer is not None
-        return self._localizer.record(found)
+        assert self._worker is not None
+        return self._worker.record(found, lambda *_: None)
 
 
 def localize_on_ray(
@@ -53,8 +50,8 @@ def localize_on_ray(
     ------
     ConfigError
         If Ray is not installed.
-    DoaError
-        If the actors cannot begin.
+    WorkerLost
+        If an actor does not begin.
     """
     ray = _ray()
     ours = not ray.is_initialized()
@@ -81,7 +78,7 @@ def _records(ray: Any, plan: Plan, count: int, waiting: deque[FoundRecording]) -
         record = None
         if done in beginning:
             actor = beginning.pop(done)
-            _check_begun(ray, done)
+            _begun(ray, done)
         else:
             actor, found = running.pop(done)
             record = _record(ray, done)
@@ -97,14 +94,12 @@ def _records(ray: Any, plan: Plan, count: int, waiting: deque[FoundRecording]) -
             yield record
 
 
-def _check_begun(ray: Any, done: Any) -> None:
-    """Raise what is wrong with an actor's bundles."""
+def _begun(ray: Any, done: Any) -> None:
+    """Raise WorkerLost where an actor did not begin."""
     try:
-        error = ray.get(done)
-    except ray.exceptions.RayActorError as lost:
-        raise WorkerLost(f"an actor ended before it could begin: {lost}") from None
-    if error is not None:
-        raise error
+        ray.get(done)
+    except ray.exceptions.RayError as error:
+        raise WorkerLost(f"an actor of the Ray cluster did not begin: {error}") from error
 
 
 def _record(ray: Any, done: Any) -> Record | None:

@@ -129,7 +129,7 @@ class ParquetResult:
 
     def _schema(self) -> Any:
         types = [(name, self._arrow.type_for_alias(alias)) for name, alias in COLUMNS.items()]
-        array = self._plan.options.array
+        array = self._plan.job.asked.options.array
         described = {
             **self._plan.identity,
             "array": {"name": array.name, "positions_m": array.positions.tolist()},

@@ -6,32 +6,34 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
+from service.api.options import LocalizeRequest
+from service.api.recording_job import RecordingJob
 from service.api.schemas import ModelAnswer
 from service.audio import AudioLimits
-from service.errors import BundleIncompatible, InvalidOption
-from service.inference.choice import check_num_sources, choose_method
-from service.inference.registry import BundleRegistry
-from service.inference.results import LocalizeOptions, Method, ModelIdentity
+from service.errors import InvalidOption
+from service.inference.choice import choose_method
+from service.inference.results import Method, ModelIdentity
 from service.settings import Settings
 from service.startup import load_registry
+from service.worker_link import Setup
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Options, limits and the model that answers; sent to every process that localizes."""
+    """The job of every recording and what its workers run with; it can be sent to any machine."""
 
-    options: LocalizeOptions
+    job: RecordingJob
     given: Mapping[str, str]
     """The options as they were given, and the hash of the noise profile"""
-    settings: Settings
-    limits: AudioLimits
+    setup: Setup
+    """With the bundles' content, so that all machines localize with the same"""
     method: Method
     model: ModelIdentity | None
 
     @classmethod
     def settle(
         cls,
-        options: LocalizeOptions,
+        asked: LocalizeRequest,
         given: Mapping[str, str],
         settings: Settings,
         limits: AudioLimits,
@@ -43,8 +45,16 @@ class Plan:
         BundleError, ConfigError, OptionError
             If the bundles cannot be loaded, or the options do not fit them or the array.
         """
-        method, model = _choice(options, load_registry(settings))
-        return cls(options, dict(given), settings, limits, method, model)
+        registry = load_registry(settings)
+        options = asked.options
+        method, bundle = choose_method(options.method, options.model, options.array, registry)
+        return cls(
+            RecordingJob(asked, limits),
+            dict(given),
+            Setup(settings, registry.files),
+            method,
+            bundle.identity if bundle else None,
+        )
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -56,25 +66,6 @@ class Plan:
             "model": model and model.model_dump(mode="json"),
         }
 
-    def load(self) -> BundleRegistry:
-        """The bundles, in the process that localizes.
-
-        Raises
-        ------
-        BundleError, ConfigError
-            If they cannot be loaded.
-        BundleIncompatible
-            If they are others than where the plan was made.
-        """
-        registry = load_registry(self.settings)
-        _, model = _choice(self.options, registry)
-        if model != self.model:
-            raise BundleIncompatible(
-                f"this machine would localize with {_named(model)} instead of "
-                f"{_named(self.model)}: install the same version and models on all machines"
-            )
-        return registry
-
     def check(self, identity: Mapping[str, Any], place: str) -> None:
         """Raise InvalidOption where a result was made with something else."""
         for name, ours in self.identity.items():
@@ -84,18 +75,6 @@ class Plan:
                     f"{place} holds results of another run, with the {name} {_short(theirs)} "
                     f"instead of {_short(ours)}: name another --out, or delete it"
                 )
-
-
-def _choice(
-    options: LocalizeOptions, registry: BundleRegistry
-) -> tuple[Method, ModelIdentity | None]:
-    check_num_sources(options.num_sources, options.array)
-    method, bundle = choose_method(options.method, options.model, options.array, registry)
-    return method, bundle.identity if bundle else None
-
-
-def _named(model: ModelIdentity | None) -> str:
-    return f"{model.name} {model.version} ({model.sha256[:12]})" if model else "no model"
 
 
 def _short(value: Any) -> str:

@@ -84,7 +84,7 @@ def _plan(args: argparse.Namespace) -> Plan:
     given = given_options(args)
     if args.noise is not None:
         given["noise"] = sha256(args.noise.read_bytes()).hexdigest()
-    return Plan.settle(asked.options, given, load_settings(models=args.models), generous_limits())
+    return Plan.settle(asked, given, load_settings(models=args.models), generous_limits())
 
 
 def _result(path: Path, plan: Plan) -> JsonLinesResult | ParquetResult:

@@ -14,6 +14,7 @@ import soundfile
 from command_line import run
 from ray_cluster import until
 
+from service.api.options import LocalizeRequest
 from service.batch.archive import find_recordings
 from service.batch.cluster import localize_on_ray
 from service.batch.plan import Plan
@@ -59,8 +60,8 @@ def test_a_cluster_writes_what_one_machine_writes(
 def test_an_actor_that_dies_is_its_recording_s_error(
     cluster: None, archive: Path, square: MicrophoneArray
 ) -> None:
-    options = LocalizeOptions(square, method="norm_music")
-    plan = Plan.settle(options, {"array": square.name}, Settings(), generous_limits())
+    asked = LocalizeRequest(LocalizeOptions(square, method="norm_music"))
+    plan = Plan.settle(asked, {"array": square.name}, Settings(), generous_limits())
     killer = threading.Thread(target=kill_an_actor)
     killer.start()
     found = find_recordings(["b.wav", "c.wav"])

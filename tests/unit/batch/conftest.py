@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import soundfile
 
+from service.api.options import LocalizeRequest
 from service.batch.plan import Plan
 from service.cli.inputs import generous_limits
 from service.doa.array import MicrophoneArray
@@ -46,6 +47,6 @@ def archive(tmp_path: Path, write_talker: WriteTalker, monkeypatch: pytest.Monke
 
 @pytest.fixture(scope="session")
 def plan(square: MicrophoneArray) -> Plan:
-    options = LocalizeOptions(square, method="norm_music")
+    asked = LocalizeRequest(LocalizeOptions(square, method="norm_music"))
     given = {"array": square.name, "method": "norm_music"}
-    return Plan.settle(options, given, Settings(), generous_limits())
+    return Plan.settle(asked, given, Settings(), generous_limits())

@@ -17,7 +17,6 @@ from service.batch.parquet import ParquetResult, beside, rows_of
 from service.batch.plan import Plan
 from service.batch.record import Record, failed
 from service.errors import (
-    BundleIncompatible,
     DoaError,
     InvalidOption,
     NotAudio,
@@ -183,9 +182,3 @@ def test_rows_are_sources_windows_or_recordings(plan: Plan) -> None:
     assert {(row["path"], row["duration_s"], row["warnings"]) for row in rows} == {
         ("a.wav", 1.5, "quiet")
     }
-
-
-def test_a_machine_with_another_model_does_not_join(plan: Plan) -> None:
-    neural = replace(plan, options=replace(plan.options, method=None), method="neural")
-    with pytest.raises(BundleIncompatible, match="install the same version"):
-        neural.load()
