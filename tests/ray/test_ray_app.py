@@ -7,6 +7,7 @@ import os
 import signal
 from collections.abc import Iterator
 from contextlib import ExitStack
+from importlib import import_module
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,11 @@ import httpx2
 import numpy as np
 import pytest
 import soundfile
+import yaml
 from command_line import run
 from ray_cluster import Deployed, until
 
+from service import ray_app
 from service.client import Backoff, LocalizationClient, Reconnecting, StreamClient
 from service.doa.array import MicrophoneArray
 from service.protocol.server_messages import Closing, Ready, Result
@@ -157,3 +160,15 @@ def test_open_streams_start_another_replica(deployed: Deployed, robots: list[Rob
     assert len(deployed.replicas()) == 1
     until(lambda: len(deployed.replicas()) == 2, lambda: speak(robots))
     until(lambda: all(robot.heard for robot in robots), lambda: speak(robots))
+
+
+def test_the_documented_configuration_is_ray_s(cluster: None) -> None:
+    from ray.serve.schema import ServeDeploySchema
+
+    text = (Path(__file__).parents[2] / "docs" / "scale-out.md").read_text()
+    (block,) = [each for each in text.split("```yaml\n") if "import_path:" in each]
+    configured = ServeDeploySchema.model_validate(yaml.safe_load(block.split("```")[0]))
+    (application,) = configured.applications
+    module, _, name = application.import_path.partition(":")
+    assert getattr(import_module(module), name) is ray_app.app
+    assert [each.name for each in application.deployments] == [ray_app.deployment.name]
