@@ -11,6 +11,9 @@ from typing import Any
 
 import pytest
 import soundfile
+
+pytest.importorskip("ray.serve", reason="needs Ray: pip install 'neuralmusic[ray]'")
+
 from command_line import run
 from ray_cluster import until
 

@@ -17,6 +17,9 @@ import numpy as np
 import pytest
 import soundfile
 import yaml
+
+pytest.importorskip("ray.serve", reason="needs Ray: pip install 'neuralmusic[ray]'")
+
 from command_line import run
 from ray_cluster import Deployed, until
 
