@@ -75,7 +75,8 @@ def test_an_actor_that_dies_is_its_recording_s_error(
 
 
 def kill_an_actor() -> None:
-    os.kill(until(actor_at_work, lambda: os.sched_yield()), signal.SIGKILL)
+    between_looks = threading.Event()  # never set: a thread that only looks would stop the others
+    os.kill(until(actor_at_work, lambda: between_looks.wait(0.02)), signal.SIGKILL)
 
 
 def actor_at_work() -> int | None:
