@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 HOST := $(or $(NEURALMUSIC_HOST),127.0.0.1)
 PORT := $(or $(NEURALMUSIC_PORT),8000)
 
-.PHONY: help install run test lint types format bench contracts clean
+.PHONY: help install run test lint types format bench contracts audit clean
 
 help:
 	@echo "make run      install and start the service with its embedded model (no torch)"
@@ -16,6 +16,7 @@ help:
 	@echo "make format   let ruff format and fix"
 	@echo "make bench    time every stage against pyroomacoustics"
 	@echo "make contracts  write openapi.yaml, asyncapi.json and docs/protocol.md's tables"
+	@echo "make audit    known vulnerabilities of what is installed, where PyPI or OSV answers"
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -59,6 +60,9 @@ contracts: install
 	$(BIN)/python -m service.openapi > openapi.yaml
 	$(BIN)/python -m service.asyncapi > asyncapi.json
 	$(BIN)/python -m service.asyncapi docs/protocol.md
+
+audit: install
+	.ci/audit
 
 clean:
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache build dist

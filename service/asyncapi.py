@@ -16,12 +16,58 @@ from typing import Any
 from pydantic.json_schema import models_json_schema
 
 from service import __version__
+from service.errors import (
+    AudioQuota,
+    DoaError,
+    Draining,
+    HostRefused,
+    KeyExpired,
+    KeyInAddress,
+    KeyMissing,
+    KeyUnknown,
+    NotReady,
+    OriginRefused,
+    Overloaded,
+    RoleMissing,
+    SubprotocolMissing,
+    TooManySessions,
+)
 from service.protocol import MAX_MESSAGE_BYTES, SUBPROTOCOL
 from service.protocol.client_messages import CLIENT_MESSAGES
 from service.protocol.close_codes import REASONS, RETRYABLE, CloseCode
 from service.protocol.message import Message, message_type
 from service.protocol.server_messages import SERVER_MESSAGES
 
+SECURITY_SCHEMES: dict[str, dict[str, str]] = {
+    "key": {
+        "type": "http",
+        "scheme": "bearer",
+        "description": "Where the service has keys: one with the role `stream`.",
+    },
+    "keyOfPage": {
+        "type": "httpApiKey",
+        "in": "header",
+        "name": "Sec-WebSocket-Protocol",
+        "description": f"For web pages, which can set no header: `{SUBPROTOCOL}` and "
+        "`bearer.` with the key in base64url; the answer chooses the former.",
+    },
+}
+HANDSHAKE_ERRORS: tuple[type[DoaError], ...] = (
+    KeyInAddress,
+    SubprotocolMissing,
+    KeyMissing,
+    KeyUnknown,
+    KeyExpired,
+    RoleMissing,
+    OriginRefused,
+    HostRefused,
+    TooManySessions,
+    AudioQuota,
+    Overloaded,
+    NotReady,
+    Draining,
+)
+"""What may refuse a handshake, as a problem document before the connection is accepted"""
 BEGIN, END = "<!-- messages: begin -->", "<!-- messages: end -->"
 REFERENCE = "#/components/schemas/{model}"
 
@@ -43,15 +89,22 @@ def document() -> dict[str, Any]:
             "docs/protocol.md explains everything else.",
             "license": {"name": "Apache-2.0"},
         },
-        "servers": {"robot": {"host": "127.0.0.1:8000", "protocol": "ws"}},
+        "servers": {
+            "robot": {
+                "host": "127.0.0.1:8000",
+                "protocol": "ws",
+                "security": [_reference("securitySchemes", name) for name in SECURITY_SCHEMES],
+            }
+        },
         "channels": {
             "stream": {
                 "address": "/stream",
                 "messages": {
-                    **{message_type(each): _reference(each) for each in every},
-                    "audio": {"$ref": "#/components/messages/audio"},
+                    **{name: _reference("messages", name) for name in map(message_type, every)},
+                    "audio": _reference("messages", "audio"),
                 },
                 "bindings": {"ws": {"method": "GET"}},
+                "x-refused-handshakes": [_refusal(error) for error in HANDSHAKE_ERRORS],
             }
         },
         "operations": {
@@ -69,13 +122,19 @@ def document() -> dict[str, Any]:
                     "payload": {"type": "string", "format": "binary"},
                 },
             },
+            "securitySchemes": SECURITY_SCHEMES,
             "schemas": schemas["$defs"],
         },
     }
 
 
-def _reference(message: type[Message]) -> dict[str, str]:
-    return {"$ref": f"#/components/messages/{message_type(message)}"}
+def _reference(kind: str, name: str) -> dict[str, str]:
+    return {"$ref": f"#/components/{kind}/{name}"}
+
+
+def _refusal(error: type[DoaError]) -> dict[str, Any]:
+    """A problem document that may answer the handshake, as an extension: AsyncAPI has no place."""
+    return {"status": error.status, "code": error.code, "summary": _text(error.__doc__ or "")}
 
 
 def _message(message: type[Message]) -> dict[str, Any]:

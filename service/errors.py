@@ -14,14 +14,19 @@ DoaError
 │  ├─ UnknownNoise · NoiseMismatch · NoiseProfileInvalid · NoiseCalibrationFailed
 │  └─ NoiseStoreFull
 ├─ UploadError
-│  └─ MissingAudio · UploadTooLarge · UnsupportedMediaType
+│  └─ MissingAudio · UploadTooLarge · UnsupportedMediaType · RequestTimeout
+├─ AccessError
+│  ├─ Unauthorized ─ KeyMissing · KeyUnknown · KeyExpired
+│  └─ RoleMissing · KeyInAddress · HostRefused · OriginRefused
+├─ KeyLimitError
+│  └─ TooManyUploads · AudioQuota
 ├─ StreamProtocolError
 │  └─ InvalidMessage · AudioBeforeStart · MessageTooBig · StreamTimeout · SessionLimit ·
-│     TooManySessions · OriginRefused · SubprotocolMissing
+│     TooManySessions · SubprotocolMissing
 ├─ BundleError
 │  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed · ReloadRefused
 └─ CapacityError
-   └─ Overloaded · NotReady · Draining · WorkerLost
+   └─ Overloaded · DiskFull · NotReady · Draining · WorkerLost
 
 ``service.client.errors`` adds those of the clients.
 """
@@ -43,6 +48,8 @@ class DoaError(Exception):
     title: str = "Internal error"
     retryable: bool = False
     close_code: int = 1011
+    retry_after_s: float | None = None
+    """Seconds after which the same request passes, where that is known"""
 
     def __init__(self, detail: str) -> None:
         super().__init__(detail)
@@ -242,6 +249,90 @@ class UnsupportedMediaType(UploadError):
     code, status, title = "media_type_unsupported", 415, "Unsupported media type"
 
 
+class RequestTimeout(UploadError):
+    """The request came too slowly."""
+
+    code, status, title = "request_timeout", 408, "Request timeout"
+
+
+class AccessError(DoaError):
+    """Whoever asks may not have this."""
+
+    code, status, title = "access_refused", 403, "Access refused"
+    close_code = 4401
+
+
+class Unauthorized(AccessError):
+    """The request has no key that is good here; answered with ``WWW-Authenticate``."""
+
+    code, status, title = "unauthorized", 401, "Key needed"
+
+
+class KeyMissing(Unauthorized):
+    """The service asks for a key, and the request has none."""
+
+    code, title = "key_missing", "Key missing"
+
+
+class KeyUnknown(Unauthorized):
+    """The service has no such key, or has it no more."""
+
+    code, title = "key_unknown", "Unknown key"
+
+
+class KeyExpired(Unauthorized):
+    """The key was valid until a date that has passed."""
+
+    code, title = "key_expired", "Key expired"
+
+
+class RoleMissing(AccessError):
+    """The key is good, but not for this."""
+
+    code, title = "role_missing", "Role missing"
+
+
+class KeyInAddress(AccessError):
+    """A key was sent in the query, where logs and histories keep it."""
+
+    code, status, title = "key_in_address", 400, "Key in the address"
+
+
+class HostRefused(AccessError):
+    """The request names a host that this service is not."""
+
+    code, status, title = "host_refused", 421, "Unknown host"
+
+
+class OriginRefused(AccessError):
+    """A web page of this origin may not use the service."""
+
+    code, title, close_code = "origin_refused", "Origin refused", 1008
+
+
+class KeyLimitError(DoaError):
+    """The key has used what it may."""
+
+    code, status, title = "key_limit", 429, "Limit of the key reached"
+    close_code = 4429
+
+
+class TooManyUploads(KeyLimitError):
+    """As many uploads of this key are in work as it may have at a time."""
+
+    code, title = "too_many_uploads", "Too many uploads"
+
+
+class AudioQuota(KeyLimitError):
+    """The key has used its seconds of audio for now."""
+
+    code, title = "audio_quota", "Audio quota used up"
+
+    def __init__(self, detail: str, retry_after_s: float) -> None:
+        super().__init__(detail)
+        self.retry_after_s = retry_after_s
+
+
 class StreamProtocolError(DoaError):
     """A stream's client broke the protocol, or the session met one of its limits."""
 
@@ -286,15 +377,9 @@ class SessionLimit(StreamProtocolError):
 
 
 class TooManySessions(StreamProtocolError):
-    """This client has as many sessions as one client may have."""
+    """This client, or this key, has as many sessions as it may have."""
 
     code, status, title, close_code = "too_many_sessions", 429, "Too many sessions", 4429
-
-
-class OriginRefused(StreamProtocolError):
-    """A page of this origin may not open streams."""
-
-    code, status, title, close_code = "origin_refused", 403, "Origin refused", 1008
 
 
 class BundleError(DoaError):
@@ -344,6 +429,12 @@ class Overloaded(CapacityError):
     """Every worker is busy and the queue is full."""
 
     code, title = "overloaded", "Overloaded"
+
+
+class DiskFull(CapacityError):
+    """What a client sent cannot be stored: the disk is full or refuses to be written."""
+
+    code, title = "disk_full", "Disk full"
 
 
 class NotReady(CapacityError):

@@ -63,7 +63,7 @@ def _outcome(
     except DoaError as error:
         return Refused(error)
     except Exception:
-        log.exception("a recording failed")
+        log.exception("the recording failed", extra={"request_id": job.request_id})
         return Refused(DoaError(UNEXPECTED))
 
 

@@ -12,11 +12,16 @@ from contextlib import suppress
 import uvicorn
 from fastapi import FastAPI
 
+from service.api.hosts import is_loopback
 from service.api.state import ServiceState
 from service.app import create_app
+from service.connections import HttpProtocol, limit_untaken
 from service.errors import ReloadRefused
+from service.logs import configure_logging, server_log_level
 from service.settings import Settings
 from service.startup import load_registry
+
+log = logging.getLogger(__name__)
 
 GRACE = 10
 """Seconds that running requests get to finish after SIGTERM"""
@@ -45,6 +50,8 @@ class Server(uvicorn.Server):
         await self._state.load()
         await self._state.start_workers()
         await super().startup(sockets)
+        for listening in (each for server in self.servers for each in server.sockets):
+            limit_untaken(listening)
         with suppress(NotImplementedError, ValueError, RuntimeError):  # no signals there
             asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, self._hang_up)
         if self._announce and self.started:
@@ -80,25 +87,55 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
     BundleError, ConfigError
         If the bundles cannot be loaded: nothing listens then.
     """
+    configure_logging(settings)
+    warn_if_open(settings)
     app = create_app(settings, load_registry(settings))
     Server(server_config(app, settings), app.state.service, announce).run()
 
 
-def quiet_refusals(record: logging.LogRecord) -> bool:
-    """uvicorn takes a handshake that was refused with a response for one that was forgotten."""
-    return "returned without completing handshake" not in record.getMessage()
+def warn_if_open(settings: Settings) -> None:
+    """Say loudly that everybody in the network may do everything, where that is so."""
+    if settings.keys is None and not is_loopback(settings.host):
+        log.warning(
+            "NO API KEYS: the service listens on %s, and whoever reaches it there may localize, "
+            "stream, watch every stream, change noise profiles and reload models. Make a key with "
+            "`neuralmusic key new NAME --roles localize,stream --file keys.jsonl`, start with "
+            "NEURALMUSIC_KEYS=keys.jsonl, and let a proxy speak TLS (docs/keys.md).",
+            settings.host,
+        )
+
+
+def worth_a_line(record: logging.LogRecord) -> bool:
+    """Whether uvicorn's line is worth one; the application logs requests and streams itself.
+
+    uvicorn takes a handshake that was refused with a response for one that was forgotten,
+    shows handshakes with their query, and a client's text that is no UTF-8 with a traceback.
+    """
+    return not str(record.msg).startswith(
+        (
+            '%s - "WebSocket ',
+            "connection ",
+            "ASGI callable returned without completing handshake",
+            "Invalid UTF-8 sequence received from client",
+        )
+    )
 
 
 def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
     """How uvicorn runs the application."""
-    logging.getLogger("uvicorn.error").addFilter(quiet_refusals)
+    logging.getLogger("uvicorn.error").addFilter(worth_a_line)
+    # What is wrong with a form is said to its sender; others could fill the log with it.
+    logging.getLogger("python_multipart").setLevel(logging.ERROR)
     return uvicorn.Config(
         app,
         host=settings.host,
         port=settings.port,
-        log_level=settings.log_level,
+        log_config=None,
+        log_level=server_log_level(settings),
+        access_log=False,
         server_header=False,
         timeout_graceful_shutdown=GRACE + FAREWELL,
+        http=HttpProtocol,
         ws="websockets-sansio",
         ws_max_size=WS_MAX_SIZE,
         ws_per_message_deflate=False,

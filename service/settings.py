@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
@@ -16,11 +17,15 @@ from pydantic import Field, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from service.auth import TOKEN
 from service.errors import ConfigError
 
 PREFIX = "NEURALMUSIC_"
+KEY_VARIABLE = f"{PREFIX}KEY"
+"""Holds the key that a client sends; no setting of the service"""
 
 LogLevel = Literal["critical", "error", "warning", "info", "debug"]
+LogFormat = Literal["text", "json"]
 
 
 def usable_cpus() -> int:
@@ -66,6 +71,8 @@ class Settings(BaseSettings):
     """Seconds without progress after which the worker of a recording is ended"""
     max_upload_bytes: int = Field(512 * 2**20, ge=1024)
     """Largest request body in bytes"""
+    body_timeout: float = Field(30.0, gt=0, le=86_400)
+    """Seconds that a request's body may fall behind 500 bytes a second, silence included"""
     max_seconds: float = Field(3600.0, gt=0, le=86_400)
     """Longest recording in seconds"""
     max_channels: int = Field(64, ge=2, le=1024)
@@ -83,21 +90,40 @@ class Settings(BaseSettings):
     max_session: float = Field(86_400.0, gt=0)
     """Seconds after which a stream ends"""
     origins: Annotated[tuple[str, ...], NoDecode] = ()
-    """Origins of web pages that may open streams besides the service's own, by commas; * for all"""
+    """Origins of web pages that may open streams and post, besides the service's own, by commas; *
+    for all"""
+    hosts: Annotated[tuple[str, ...], NoDecode] = ()
+    """Names by which requests may call the service, by commas; * for all; by default any, but on
+    loopback without keys only localhost and addresses"""
+    keys: Path | None = None
+    """File of the API keys (neuralmusic key new); None lets everybody do everything"""
     noise_folder: Path | None = None
     """Folder in which noise profiles outlive the process; None keeps them in memory"""
     log_level: LogLevel = "info"
     """Least severe messages that are logged"""
+    log_format: LogFormat = "text"
+    """How they are written: text for people, or one JSON object a line"""
+    traces: str | None = None
+    """OTLP/HTTP endpoint that gets traces, as http://collector:4318; needs the extra otel"""
 
     @field_validator("models", mode="before")
     @classmethod
     def _split_path(cls, value: object) -> object:
         return tuple(filter(None, value.split(os.pathsep))) if isinstance(value, str) else value
 
-    @field_validator("origins", mode="before")
+    @field_validator("origins", "hosts", mode="before")
     @classmethod
     def _split_commas(cls, value: object) -> object:
-        return tuple(filter(None, value.split(","))) if isinstance(value, str) else value
+        if not isinstance(value, str):
+            return value
+        return tuple(part.strip() for part in value.split(",") if part.strip())
+
+    @field_validator("traces")
+    @classmethod
+    def _check_endpoint(cls, value: str | None) -> str | None:
+        if value is not None and not re.fullmatch(r"https?://[^/\s]\S*", value):
+            raise ValueError("must be an address as http://collector:4318")
+        return value
 
 
 def load_settings(**overrides: Any) -> Settings:
@@ -131,6 +157,14 @@ def _refuse_unknown(environment: Mapping[str, str]) -> None:
                 "set enableServiceLinks: false in the pod"
             )
         field = name.upper().removeprefix(PREFIX).lower()
+        if name == KEY_VARIABLE:
+            # It is read by clients on the same machine; a path in it is meant for `keys`.
+            if TOKEN.fullmatch(value) is None:
+                raise ConfigError(
+                    f"{KEY_VARIABLE} holds no key: it is a client's, as neuralmusic key new prints "
+                    f"them; the service's file of keys is {variable('keys')}"
+                )
+            continue
         if field not in Settings.model_fields:
             raise ConfigError(f"unknown variable {name}: {_closest(field, variable)}")
 
@@ -160,5 +194,7 @@ def _sentence(error: ErrorDetails) -> str:
     if error["type"] == "extra_forbidden":
         return f"unknown setting {name}: {_closest(name, str)}"
     rule = _RULES.get(error["type"])
-    said = rule.format(**error.get("ctx", {})) if rule else error["msg"]
+    said = (
+        rule.format(**error.get("ctx", {})) if rule else error["msg"].removeprefix("Value error, ")
+    )
     return f"{name} {said}, but is {error['input']!r} (flag or {variable(name)})"

@@ -16,10 +16,12 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from service.inference.bundle import BundleFiles
 from service.inference.registry import BundleRegistry
+from service.logs import configure_logging
 from service.settings import Settings
 
 HEADER = struct.Struct("<I")
@@ -88,6 +90,7 @@ def run_worker(serve: Callable[[Link, Settings, BundleRegistry], None]) -> None:
         link = Link(connection)
         setup: Setup = link.receive()
         settings = setup.settings
+        configure_logging(settings, f"{Path(sys.argv[0]).stem}-{os.getpid()}")
         serve(link, settings, BundleRegistry.of_files(setup.bundles, threads=settings.threads))
 
 

@@ -1,14 +1,40 @@
-"""The service itself in a thread of the tests, to be started and stopped as often as is needed."""
+"""The service itself, in a thread of the tests or in a process, started as often as is needed."""
 
 from __future__ import annotations
 
+import os
+import re
+import subprocess
+import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 from scripted_service import TIMEOUT_S
 
+from service.api.state import ServiceState
 from service.app import create_app
 from service.server import Server, server_config
 from service.settings import Settings
+
+ROOT = Path(__file__).parents[1]
+
+
+@contextmanager
+def serving(**settings: str) -> Iterator[str]:
+    """The address of a service of its own process on a free port."""
+    command = [sys.executable, "-c", "from service.cli import main; main()", "serve", "--port", "0"]
+    # Nobody reads the pipe after the first line: it must not fill up.
+    environment = {**os.environ, "NEURALMUSIC_LOG_LEVEL": "warning", **settings}
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment
+    ) as process:
+        try:
+            assert process.stdout is not None
+            yield re.findall(r"http://\S+", process.stdout.readline())[0]
+        finally:
+            process.terminate()
 
 
 class RunningService:
@@ -36,9 +62,15 @@ class RunningService:
         self.url = f"http://127.0.0.1:{self.port}"
 
     @property
+    def state(self) -> ServiceState:
+        """What its endpoints share."""
+        state: ServiceState = self._app.state.service
+        return state
+
+    @property
     def worker_pids(self) -> list[int]:
         """Of the processes that compute streams."""
-        return self._app.state.service.stream_workers.pids
+        return self.state.stream_workers.pids
 
     def stop(self) -> None:
         self._server.should_exit = True

@@ -14,14 +14,14 @@ router = APIRouter(prefix="/admin", tags=["service"])
 
 @router.post(
     "/reload",
-    summary="Load the models again",
+    summary="Load models and keys again",
     responses=problem_responses(ReloadRefused, NotReady, Draining),
 )
 async def reload(request: Request) -> ModelsAnswer:
-    """Read the bundles from disk, verify and self-test them, and serve with them; as SIGHUP does.
+    """Read bundles and keys again, verify and self-test, and serve with them, as SIGHUP does.
 
-    Running streams and recordings keep the models that they began with. A bundle that cannot be
-    used is refused, and everything stays as it was.
+    Running streams and recordings keep the models that they began with. A bundle or a file of keys
+    that cannot be used is refused, and everything stays as it was.
     """
     state = state_of(request)
     state.admit()

@@ -8,12 +8,14 @@ import anyio.to_thread
 from fastapi import APIRouter, Request, Response
 
 from service.api.contract import LOCALIZE_ERRORS, LOCALIZE_EXAMPLE, localize_operation
+from service.api.guard import key_of
 from service.api.options import LocalizeRequest, read_options
 from service.api.problems import problem_responses
-from service.api.recording_job import RecordingJob
+from service.api.recording_job import Opened, RecordingJob
 from service.api.schemas import LocalizationAnswer
 from service.api.state import ServiceState, state_of
 from service.api.upload import read_upload
+from service.logs import request_id
 
 router = APIRouter(tags=["localization"])
 
@@ -36,12 +38,24 @@ async def localize(request: Request) -> Response:
     query parameters; `array` is required.
     """
     state = state_of(request)
+    key = key_of(request)
+
+    def charge(opened: Opened) -> None:
+        state.keys.charge(key, opened.duration)
+
     state.admit()
     state.recording_workers.check()
-    async with read_upload(request) as upload:
-        asked = await _with_noise(read_options(upload.options), state)
-        job = RecordingJob(asked, state.audio_limits)
-        localized = await state.recording_workers.run(request, job, upload.file)
+    with state.keys.upload(key):
+        async with read_upload(request) as upload:
+            asked = await _with_noise(read_options(upload.options), state)
+            job = RecordingJob(asked, state.audio_limits, request_id.get())
+            with state.traces.span("localize"):
+                localized = await state.recording_workers.run(
+                    request,
+                    job,
+                    upload.file,
+                    lambda opened: state.keys.charge(key, opened.duration),
+                )
     return Response(localized.body, media_type="application/json")
 
 

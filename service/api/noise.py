@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-import io
 from datetime import datetime
 from http import HTTPStatus
+from tempfile import SpooledTemporaryFile
 from typing import Annotated
 
 import anyio.to_thread
 from fastapi import APIRouter, HTTPException, Path, Request, Response
 
 from service.api.catalog import NOT_FOUND
+from service.api.guard import key_of
 from service.api.problems import problem_responses
 from service.api.schemas import Answer
 from service.api.state import state_of
 from service.errors import (
+    DiskFull,
     InvalidOption,
     NoiseProfileInvalid,
     NoiseStoreFull,
+    RequestTimeout,
     UnknownNoise,
     UploadTooLarge,
 )
@@ -26,6 +29,8 @@ from service.inference.noise_store import NoiseStore, StoredNoise
 
 MEDIA_TYPE = "application/octet-stream"
 BINARY = {"schema": {"type": "string", "format": "binary"}}
+SPOOL_BYTES = 2**20
+"""A profile up to this size stays in memory while it comes; those of real arrays are smaller"""
 
 router = APIRouter(tags=["noise"])
 
@@ -88,21 +93,36 @@ async def get_noise(request: Request, name: Name) -> Response:
 @router.put(
     "/noise/{name}",
     summary="Store a noise profile",
-    responses=problem_responses(InvalidOption, NoiseProfileInvalid, NoiseStoreFull, UploadTooLarge),
+    responses=problem_responses(
+        InvalidOption,
+        NoiseProfileInvalid,
+        NoiseStoreFull,
+        RequestTimeout,
+        UploadTooLarge,
+        DiskFull,
+    ),
     openapi_extra={"requestBody": {"required": True, "content": {MEDIA_TYPE: BINARY}}},
 )
 async def put_noise(request: Request, name: Name) -> NoiseAnswer:
     """Store a profile, as `neuralmusic noise` writes it, in place of the one of that name."""
-    body = bytearray()
-    async for chunk in request.stream():
-        body += chunk
-        if len(body) > MAX_BYTES:
-            raise UploadTooLarge(f"a noise profile has at most {MAX_BYTES} bytes")
+    state = state_of(request)
+    with state.keys.upload(key_of(request)), SpooledTemporaryFile(SPOOL_BYTES) as file:
+        size = 0
+        async for chunk in request.stream():
+            size += len(chunk)
+            if size > MAX_BYTES:
+                raise UploadTooLarge(f"a noise profile has at most {MAX_BYTES} bytes")
+            file.write(chunk)
+        file.seek(0)
 
-    def store() -> StoredNoise:
-        return _store(request).put(name, load_noise(io.BytesIO(body)))
+        def keep() -> StoredNoise:
+            noise = load_noise(file)  # type: ignore[arg-type]
+            try:
+                return state.noise.put(name, noise)
+            except OSError as error:
+                raise DiskFull("there is no room to store the profile: try again later") from error
 
-    return NoiseAnswer.of(await anyio.to_thread.run_sync(store))
+        return NoiseAnswer.of(await anyio.to_thread.run_sync(keep, limiter=state.noise_checks))
 
 
 @router.delete(

@@ -26,6 +26,9 @@ from service.inference.results import (
     LocalizeOptions,
 )
 
+NUMBER = re.compile(r"-?(\d+(\.\d+)?(e-?\d+)?|\.\d+(e-?\d+)?|\d+\.)", re.ASCII | re.IGNORECASE)
+"""Not float() alone: it takes "nan", "1_0" and digits of any script. Nothing in it may match in two
+ways: 64,000 digits and a letter would take minutes"""
 SHOWN = 60
 """Characters of a client's value that an error repeats"""
 
@@ -55,8 +58,7 @@ def number(low: float, high: float, default: float, description: str) -> Option:
     """A real number within bounds."""
 
     def read(text: str) -> float:
-        # Not float() alone: it takes "nan", "1_0" and digits of any script.
-        if not re.fullmatch(r"-?(\d*\.?\d+(e-?\d+)?|\d+\.)", text, re.ASCII | re.IGNORECASE):
+        if not NUMBER.fullmatch(text):
             raise ValueError(f"must be a number from {low:g} to {high:g}")
         value = float(text)
         if not low <= value <= high:

@@ -1,4 +1,4 @@
-"""Which web pages may open streams: a browser sends the page's origin, robots send none."""
+"""Which web pages may change anything: a browser sends the page's origin, robots send none."""
 
 from __future__ import annotations
 
@@ -9,18 +9,30 @@ from starlette.datastructures import Headers
 
 from service.errors import OriginRefused
 
+SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+"""Of HTTP: they change nothing, and no page of another origin can read their answers"""
+
 
 def check_origin(headers: Headers, allowed: Sequence[str]) -> None:
     """Raise OriginRefused unless the page is the service's own or on the list.
 
-    Browsers let any page open a WebSocket to any host, so that without this check every page that
-    somebody in the robot's network visits could use the robot's service.
+    Browsers let any page open a WebSocket to any host and post a form there, so that without this
+    check every page that somebody in the robot's network visits could use the robot's service.
     """
     origin = headers.get("origin")
     if origin is None or "*" in allowed or origin in allowed:
         return
-    if urlsplit(origin).netloc == headers.get("host"):
+    place = _place(origin)
+    if place and place == headers.get("host"):
         return
     raise OriginRefused(
-        f"pages of {origin[:100]} may not open streams: add the origin to NEURALMUSIC_ORIGINS"
+        f"pages of {origin[:100]} may not use this service: add the origin to NEURALMUSIC_ORIGINS"
     )
+
+
+def _place(origin: str) -> str:
+    """Host and port of an origin; empty where it has none, as ``null`` has."""
+    try:
+        return urlsplit(origin).netloc
+    except ValueError:  # a bracket that does not close
+        return ""

@@ -32,8 +32,6 @@ HEADERS = {
     # ws: and wss: since not every browser counts them as 'self'.
     "Content-Security-Policy": "default-src 'self'; connect-src 'self' ws: wss:; "
     "object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'self'",
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
 }
 
 

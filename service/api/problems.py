@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import math
 from collections.abc import Mapping
 from http import HTTPStatus
 from typing import Any
@@ -12,8 +14,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
+from starlette.types import Receive, Scope, Send
 
-from service.errors import UNEXPECTED, DoaError, InvalidOption
+from service.api.requests import PROBLEM
+from service.errors import UNEXPECTED, DoaError, InvalidOption, RoleMissing, Unauthorized
+
+log = logging.getLogger(__name__)
 
 MEDIA_TYPE = "application/problem+json"
 TYPE_PREFIX = "urn:neuralmusic:problem:"
@@ -44,10 +50,25 @@ class Problem(BaseModel):
     """For programs; never changes its meaning"""
 
 
+class ProblemResponse(JSONResponse):
+    """A problem; whoever watches the requests finds its code in the scope."""
+
+    media_type = MEDIA_TYPE
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        scope[PROBLEM] = self.code
+        await super().__call__(scope, receive, send)
+
+    def __init__(
+        self, code: str, status: int, title: str, detail: str, headers: Mapping[str, str] | None
+    ) -> None:
+        self.code = code
+        super().__init__(_fields(code, status, title, detail), status, headers)
+
+
 def problem_response(error: DoaError) -> Response:
     """The response that an error becomes."""
-    headers = {"Retry-After": str(RETRY_AFTER)} if error.retryable else None
-    return _response(error.code, error.status, error.title, error.detail, headers)
+    return ProblemResponse(error.code, error.status, error.title, error.detail, _headers(error))
 
 
 def problem_responses(*errors: type[DoaError]) -> dict[int | str, dict[str, Any]]:
@@ -65,9 +86,12 @@ def problem_responses(*errors: type[DoaError]) -> dict[int | str, dict[str, Any]
                 }
             },
         }
-        if any(error.retryable for error in alike):
+        if any(map(_may_pass_later, alike)):
             seconds = {"description": "Seconds", "schema": {"type": "integer"}}
             responses[status]["headers"] = {"Retry-After": seconds}
+        if status == HTTPStatus.UNAUTHORIZED:
+            challenge = {"description": "`Bearer`", "schema": {"type": "string"}}
+            responses[status]["headers"] = {"WWW-Authenticate": challenge}
     return responses
 
 
@@ -82,6 +106,8 @@ def install_problem_handlers(app: FastAPI) -> None:
 
 async def _on_doa_error(request: Request, error: Exception) -> Response:
     assert isinstance(error, DoaError)
+    if error.status >= HTTPStatus.INTERNAL_SERVER_ERROR and not error.retryable:
+        log.error("%s: %s", error.code, error.detail, exc_info=error)
     return problem_response(error)
 
 
@@ -97,7 +123,7 @@ async def _on_http_exception(request: Request, error: Exception) -> Response:
         code, title = "method_not_allowed", "Method not allowed"
         allowed = (error.headers or {}).get("Allow", "another method")
         detail = f"{path} takes {allowed}, not {request.method}"
-    return _response(code, status, title, detail, error.headers)
+    return ProblemResponse(code, status, title, detail, error.headers)
 
 
 async def _on_validation_error(request: Request, error: Exception) -> Response:
@@ -112,8 +138,31 @@ async def _on_disconnect(request: Request, error: Exception) -> Response:
 
 
 async def _on_unexpected(request: Request, error: Exception) -> Response:
-    """Say nothing of the cause; the server logs the traceback."""
-    return problem_response(DoaError(UNEXPECTED))
+    """Say nothing of the cause; the server logs the traceback and closes the connection."""
+    response = problem_response(DoaError(UNEXPECTED))
+    response.headers["Connection"] = "close"
+    return response
+
+
+def _headers(error: DoaError) -> dict[str, str]:
+    if isinstance(error, Unauthorized):
+        return {
+            "WWW-Authenticate": _challenge("" if error.code == "key_missing" else "invalid_token")
+        }
+    if isinstance(error, RoleMissing):
+        return {"WWW-Authenticate": _challenge("insufficient_scope")}
+    if _may_pass_later(error):
+        return {"Retry-After": str(math.ceil(error.retry_after_s or RETRY_AFTER))}
+    return {}
+
+
+def _may_pass_later(error: DoaError | type[DoaError]) -> bool:
+    return error.retryable or error.status == HTTPStatus.TOO_MANY_REQUESTS
+
+
+def _challenge(error: str) -> str:
+    """After RFC 6750; whoever sent nothing is told no error."""
+    return 'Bearer realm="neuralmusic"' + (f', error="{error}"' if error else "")
 
 
 def _example(error: type[DoaError]) -> dict[str, Any]:
@@ -125,10 +174,3 @@ def _example(error: type[DoaError]) -> dict[str, Any]:
 def _fields(code: str, status: int, title: str, detail: str) -> dict[str, Any]:
     problem = Problem(type=TYPE_PREFIX + code, title=title, status=status, detail=detail, code=code)
     return problem.model_dump()
-
-
-def _response(
-    code: str, status: int, title: str, detail: str, headers: Mapping[str, str] | None = None
-) -> Response:
-    content = _fields(code, status, title, detail)
-    return JSONResponse(content, status, headers, media_type=MEDIA_TYPE)

@@ -26,6 +26,8 @@ class RecordingJob:
     asked: LocalizeRequest
     """With the noise profile itself in its options"""
     limits: AudioLimits
+    request_id: str | None = None
+    """For the log"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import signal
 import threading
+import time
 from collections.abc import Callable
 from typing import BinaryIO
 
@@ -16,6 +17,8 @@ from starlette.requests import ClientDisconnect, Request
 from service.api.recording_job import Localized, Opened, Outcome, RecordingJob, Refused, Report
 from service.api.worker_process import WorkerProcess
 from service.errors import DecodingFailed, DoaError, Draining, Overloaded, WorkerLost
+from service.inference.recording import BATCH_WINDOWS
+from service.metrics import Metrics
 from service.worker_link import Link, Setup
 
 log = logging.getLogger(__name__)
@@ -116,10 +119,11 @@ class RecordingWorker:
 class RecordingWorkers:
     """At most ``most`` recordings at a time and ``queue`` waiting ones; more are refused."""
 
-    def __init__(self, most: int, queue: int, stall_s: float) -> None:
+    def __init__(self, most: int, queue: int, stall_s: float, metrics: Metrics) -> None:
         self._limiter = anyio.CapacityLimiter(most)
         self._capacity = most + queue
         self._stall_s = stall_s
+        self._metrics = metrics
         self._draining = False
         self._lock = threading.Lock()
         self._idle: list[RecordingWorker] = []
@@ -146,21 +150,29 @@ class RecordingWorkers:
         otherwise pile up work.
         """
 
+        audio_s = 0.0
+
         def check(message: Report) -> None:
+            nonlocal audio_s
             self._check_draining()
-            if isinstance(message, Opened) and admit is not None:
-                admit(message)
+            if isinstance(message, Opened):
+                audio_s = message.duration
+                if admit is not None:
+                    admit(message)
             if anyio.from_thread.run(request.is_disconnected):
                 raise ClientDisconnect
 
         self.check()
         self.admitted += 1
+        came = time.monotonic()
         try:
-            return await anyio.to_thread.run_sync(
+            localized = await anyio.to_thread.run_sync(
                 self._localize, job, file, check, limiter=self._limiter
             )
         finally:
             self.admitted -= 1
+        self._count(localized, audio_s, time.monotonic() - came)
+        return localized
 
     @property
     def pids(self) -> list[int]:
@@ -172,11 +184,18 @@ class RecordingWorkers:
         """Start the first worker and wait until it is ready."""
         await anyio.to_thread.run_sync(lambda: self._give_back(self._take()))
 
-    def renew(self, setup: Setup) -> None:
-        """Let new recordings go to workers with a new setup; running ones are finished."""
+    def prepare(self, setup: Setup) -> RecordingWorker:
+        """A worker with a new setup that is ready, for ``renew``; WorkerLost if it does not come
+        up."""
+        worker = RecordingWorker(setup, self._stall_s)
+        worker.wait_ready()
+        return worker
+
+    def renew(self, prepared: RecordingWorker) -> None:
+        """Let new recordings go to workers with this one's setup; running ones are finished."""
         with self._lock:
-            self.setup = setup
-            idle, self._idle = self._idle, []
+            self.setup = prepared.setup
+            idle, self._idle = self._idle, [prepared]
         for worker in idle:
             worker.end()
 
@@ -194,6 +213,14 @@ class RecordingWorkers:
         for worker in idle:
             worker.end()
 
+    def _count(self, localized: Localized, audio_s: float, seconds: float) -> None:
+        """Count a recording that was answered after so many seconds."""
+        self._metrics.worked("file", max(seconds - localized.seconds, 0.0), localized.seconds)
+        self._metrics.audio("file", audio_s)
+        full, rest = divmod(localized.windows, BATCH_WINDOWS)
+        for windows in (*[BATCH_WINDOWS] * full, *[rest] * bool(rest)):
+            self._metrics.batch(windows)
+
     def _localize(
         self, job: RecordingJob, file: BinaryIO, check: Callable[[Report], None]
     ) -> Localized:
@@ -204,6 +231,7 @@ class RecordingWorkers:
             with self._lock:
                 self._busy.discard(worker)
             self._check_draining()
+            self._metrics.worker_lost("file")
             raise
         except BaseException:
             self._give_back(worker)
@@ -226,6 +254,7 @@ class RecordingWorkers:
         except BaseException:
             with self._lock:
                 self._busy.discard(worker)
+            self._metrics.worker_lost("file")
             raise
         return worker
 

@@ -1,4 +1,4 @@
-"""What the endpoints share: settings, worker processes, loaded models."""
+"""What the endpoints share: settings, worker processes, loaded models, what is counted."""
 
 from __future__ import annotations
 
@@ -7,17 +7,21 @@ import logging
 from dataclasses import dataclass, field
 
 import anyio.to_thread
+from anyio import CapacityLimiter
 from fastapi import Request
 
 from service.api.recording_workers import RecordingWorkers
 from service.api.stream_workers import StreamWorkers
 from service.audio import AudioLimits
+from service.auth import Keys
 from service.errors import DoaError, Draining, NotReady, ReloadRefused
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
+from service.metrics import Gauges, Metrics
 from service.settings import Settings
 from service.startup import load_registry
 from service.streaming.registry import SessionRegistry
+from service.traces import Traces
 from service.worker_link import Setup
 
 log = logging.getLogger(__name__)
@@ -35,17 +39,45 @@ class ServiceState:
     """None until the bundles are loaded and self-tested"""
     noise: NoiseStore = field(default_factory=NoiseStore)
     """Profiles of robots' own noises"""
+    metrics: Metrics = field(default_factory=Metrics)
+    traces: Traces = field(default_factory=Traces)
+    noise_checks: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(1))
+    """The largest profile takes some hundred megabytes while it is checked"""
+    keys: Keys = field(default_factory=Keys)
+    """Who may do what"""
     _reloading: asyncio.Lock = field(default_factory=asyncio.Lock)
+
+    def __post_init__(self) -> None:
+        self.metrics.read_from(self.gauges)
 
     @classmethod
     def of(cls, settings: Settings) -> ServiceState:
-        """The state of an application that has loaded nothing yet."""
+        """The state of an application that has loaded nothing yet; ConfigError without extras."""
+        metrics = Metrics()
         return cls(
             settings,
-            RecordingWorkers(settings.workers, settings.queue, settings.stall_timeout),
+            RecordingWorkers(settings.workers, settings.queue, settings.stall_timeout, metrics),
             SessionRegistry(settings.max_sessions),
-            StreamWorkers(settings.stream_workers),
+            StreamWorkers(settings.stream_workers, metrics),
             noise=NoiseStore(settings.noise_folder),
+            metrics=metrics,
+            traces=Traces(settings.traces),
+            keys=Keys(settings.keys),
+        )
+
+    def gauges(self) -> Gauges:
+        """What a scrape sees of this moment."""
+        bundles = self.registry.bundles if self.registry else ()
+        return Gauges(
+            sessions=self.streams.running,
+            max_sessions=self.streams.max_sessions,
+            uploads=self.recording_workers.admitted,
+            workers={
+                "stream": len(self.stream_workers.pids),
+                "file": len(self.recording_workers.pids),
+            },
+            ready=self.registry is not None and not self.streams.draining,
+            models=tuple(bundle.identity for bundle in bundles),
         )
 
     @property
@@ -69,35 +101,47 @@ class ServiceState:
         await asyncio.gather(self.stream_workers.start(), self.recording_workers.start())
 
     async def reload(self) -> BundleRegistry:
-        """Read the bundles again, verify and self-test them, and serve with them.
+        """Read the bundles and the keys again, verify and self-test, and serve with them.
 
-        Running streams and recordings keep those that they began with.
+        Running streams and recordings keep the bundles that they began with.
 
         Raises
         ------
         ReloadRefused
-            If they cannot be used; nothing has changed then.
+            If they cannot be used; everything is as before then.
         """
         async with self._reloading:
             try:
                 registry = await anyio.to_thread.run_sync(load_registry, self.settings)
-                setup = Setup(self.settings, registry.files)
-                await self.stream_workers.renew(setup)
+                await anyio.to_thread.run_sync(self.keys.reload)
+                await self._renew_workers(Setup(self.settings, registry.files))
             except DoaError as error:
+                self.metrics.reloaded(ok=False)
                 log.error("the models were not reloaded: %s", error.detail)
                 raise ReloadRefused(
                     f"{error.detail}; the models that were loaded go on serving"
                 ) from error
-            await anyio.to_thread.run_sync(self.recording_workers.renew, setup)
             self.registry = registry
+        self.metrics.reloaded(ok=True)
         names = ", ".join(f"{b.manifest.name} {b.manifest.version}" for b in registry.bundles)
         log.info("the models were reloaded: %s", names)
         return registry
 
+    async def _renew_workers(self, setup: Setup) -> None:
+        """Start workers of both kinds with a new setup, then let new work go to them."""
+        prepared = await anyio.to_thread.run_sync(self.recording_workers.prepare, setup)
+        try:
+            await self.stream_workers.renew(setup)
+        except BaseException:
+            prepared.end()
+            raise
+        await anyio.to_thread.run_sync(self.recording_workers.renew, prepared)
+
     async def stop(self) -> None:
-        """End all worker processes."""
+        """End all worker processes, send the last traces."""
         await self.stream_workers.stop()
         await anyio.to_thread.run_sync(self.recording_workers.stop)
+        await anyio.to_thread.run_sync(self.traces.stop)
 
     def models(self) -> BundleRegistry:
         """The loaded bundles, or NotReady."""

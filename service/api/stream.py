@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import asyncio
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
-from service.api.origins import check_origin
+from service.api.guard import key_of
 from service.api.outbox import Outbox, message_json
 from service.api.problems import problem_response
 from service.api.state import ServiceState
+from service.api.stream_watch import StreamWatch
 from service.api.stream_workers import worker_lost
-from service.errors import DoaError, SubprotocolMissing, TooManySessions
+from service.auth import ANYONE, Key
+from service.errors import (
+    AccessError,
+    AudioQuota,
+    DoaError,
+    StreamTimeout,
+    SubprotocolMissing,
+    TooManySessions,
+)
+from service.logs import session_id
 from service.protocol import SUBPROTOCOL
 from service.protocol.close_codes import CloseCode
 from service.protocol.server_messages import OdasSsl, OdasSst, Result, ServerMessage, Stats
@@ -40,18 +50,20 @@ router = APIRouter()
 async def stream(websocket: WebSocket) -> None:
     """A session after the protocol ``doa.v1``; see docs/protocol.md."""
     state: ServiceState = websocket.app.state.service
-    try:
-        _check_handshake(websocket, state)
-    except DoaError as error:
-        await websocket.send_denial_response(problem_response(error))
-        return
-    # It takes its place before it is accepted, so that two cannot take the last one.
-    await Connection(websocket, state).run()
+    key = key_of(websocket)
+    with ExitStack() as held:
+        try:
+            _check_handshake(websocket, state)
+            held.enter_context(state.keys.session(key))
+        except DoaError as error:
+            await websocket.send_denial_response(problem_response(error))
+            return
+        # It takes its place before it is accepted, so that two cannot take the last one.
+        await Connection(websocket, state, key).run()
 
 
 def _check_handshake(websocket: WebSocket, state: ServiceState) -> None:
     """Raise whatever refuses this client before the connection is accepted."""
-    check_origin(websocket.headers, state.settings.origins)
     if SUBPROTOCOL not in websocket.scope["subprotocols"]:
         raise SubprotocolMissing(
             f"/stream speaks the WebSocket subprotocol {SUBPROTOCOL}: offer it"
@@ -63,9 +75,13 @@ def _check_handshake(websocket: WebSocket, state: ServiceState) -> None:
 class Connection:
     """Moves messages between a WebSocket, a session and the worker that computes it."""
 
-    def __init__(self, websocket: WebSocket, state: ServiceState) -> None:
+    def __init__(self, websocket: WebSocket, state: ServiceState, key: Key = ANYONE) -> None:
         settings = state.settings
         self._websocket = websocket
+        self._keys = state.keys
+        self._key = key
+        self._charged_s = 0.0
+        """Seconds of audio that were counted for the key"""
         self._loop = asyncio.get_running_loop()
         self._stream_workers = state.stream_workers
         self._worker = state.stream_workers.assign()
@@ -76,8 +92,11 @@ class Connection:
         self._room = asyncio.Event()
         self._room.set()  # the first message has room before anything was pumped
         reporter = self._reporter = Reporter(self._emit)
+        ident = self._streams.new_id()
+        session_id.set(ident)  # the task is this stream's alone
+        self._watch = StreamWatch(state.metrics, reporter.account, self._loop.time)
         self.session = Session(
-            self._streams.new_id(),
+            ident,
             reporter,
             state.noise,
             SessionLimits(settings.stream_buffer, settings.idle_timeout, settings.max_session),
@@ -91,17 +110,22 @@ class Connection:
         try:
             await self._websocket.accept(subprotocol=SUBPROTOCOL)
             tasks += [asyncio.create_task(each()) for each in (self._read, self._write, self._tick)]
-            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            if any(isinstance(task.exception(), TimeoutError) for task in done):
+                self.session.fail(StreamTimeout(f"nothing was read for {SEND_TIMEOUT_S:g} s"))
         finally:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
             self.session.abandon()
-            with suppress(RuntimeError, WebSocketDisconnect):  # it is closed already
-                await self._websocket.close(CloseCode.TIMEOUT)
+            # It is closed already, or a client that reads nothing does not take the close either.
+            with suppress(RuntimeError, WebSocketDisconnect, TimeoutError):
+                async with asyncio.timeout(SEND_TIMEOUT_S):
+                    await self._websocket.close(CloseCode.TIMEOUT)
             self._worker.submit(Close(self.session.id))
             self._stream_workers.release(self._worker)
             self._streams.end(self._entry)
+            self._watch.ended(self._entry.client)
 
     def pump(self) -> None:
         """Hand out the session's next work, make room, close what is closed."""
@@ -124,7 +148,8 @@ class Connection:
 
     def _emit(self, message: ServerMessage) -> None:
         text = message_json(message, spectrum="spectrum" in self.session.output.include)
-        dropped = self._outbox.put(text, droppable=isinstance(message, DROPPABLE))
+        arrived = self._watch.said(message, self._entry.client)
+        dropped = self._outbox.put(text, droppable=isinstance(message, DROPPABLE), arrived=arrived)
         self._reporter.account.results_dropped += dropped
         self._entry.observe(message)
 
@@ -149,10 +174,29 @@ class Connection:
             data, text = received.get("bytes"), received.get("text")
             if data is not None:
                 self.session.receive_bytes(data, now)
+                self._watch.heard()
+                self._charge()
             elif text is not None:
                 self.session.receive_text(text, now)
                 self._check_client()
             self.pump()
+
+    def _charge(self) -> None:
+        """Count the audio that came for the key, and end the session where it is used up."""
+        audio_s = self._reporter.account.audio_s
+        self._keys.charge(self._key, audio_s - self._charged_s)
+        self._charged_s = audio_s
+        try:
+            self._keys.check_audio(self._key)
+        except AudioQuota as error:
+            self.session.fail(error)
+
+    def _check_key(self) -> None:
+        """End the session where its key is good no more."""
+        try:
+            self._key = self._keys.check(self._key, "stream")
+        except AccessError as error:
+            self.session.fail(error)
 
     def _check_client(self) -> None:
         """One client name may have a bounded number of streams."""
@@ -168,18 +212,21 @@ class Connection:
             )
 
     async def _write(self) -> None:
-        while (text := await self._outbox.get()) is not None:
+        while (message := await self._outbox.get()) is not None:
             # A client that reads nothing is cut off; nothing more could be said to it.
             async with asyncio.timeout(SEND_TIMEOUT_S):
-                await self._websocket.send_text(text)
+                await self._websocket.send_text(message.text)
+            self._watch.sent(message.arrived)
         assert self.session.close_code is not None
-        await self._websocket.close(self.session.close_code)
+        async with asyncio.timeout(SEND_TIMEOUT_S):
+            await self._websocket.close(self.session.close_code)
 
     async def _tick(self) -> None:
         while True:
             await asyncio.sleep(TICK_S)
             now = self._loop.time()
             self.session.tick(now)
+            self._check_key()
             self._worker.watch(now)
             if self._worker.lost:  # a stream that is waiting for audio would not notice
                 self.session.fail(worker_lost())

@@ -12,14 +12,13 @@ from itertools import count
 
 from service.api.worker_process import WorkerProcess
 from service.errors import WorkerLost
+from service.metrics import Metrics
 from service.streaming.work import Check, Failed, Outcome, Work
 from service.worker_link import HEADER, Setup, packed
 
 log = logging.getLogger(__name__)
 
 Done = Callable[[Outcome], None]
-Observe = Callable[[float, float], None]
-"""Told of every work how many seconds it waited and took"""
 
 ENOUGH = 4
 """Sessions of every worker from which on another one is started: it takes 150 MB and a second"""
@@ -41,9 +40,9 @@ class Waiting:
 class StreamWorker:
     """One worker process and the socket to it; used on the event loop alone."""
 
-    def __init__(self, setup: Setup, observe: Observe | None = None) -> None:
+    def __init__(self, setup: Setup, metrics: Metrics) -> None:
         self._setup = setup
-        self._observe = observe
+        self._metrics = metrics
         self._loop = asyncio.get_running_loop()
         self._numbers = count(1)
         self._waiting: dict[int, Waiting] = {}
@@ -125,8 +124,9 @@ class StreamWorker:
         waiting = self._waiting.pop(number, None)
         if waiting is None:
             return
-        if self._observe is not None and not waiting.patient:
-            self._observe(max(self._answered - waiting.since - seconds, 0.0), seconds)
+        if not waiting.patient:
+            queued = max(self._answered - waiting.since - seconds, 0.0)
+            self._metrics.worked("stream", queued, seconds)
         waiting.done(outcome)
 
     def _lose(self) -> None:
@@ -134,6 +134,7 @@ class StreamWorker:
             return  # it was asked to end
         log.error("stream worker %s ended: its streams are closed, clients connect again", self.pid)
         self.lost = True
+        self._metrics.worker_lost("stream")
         self.ready.set()
         all_waiting, self._waiting = self._waiting, {}
         for waiting in all_waiting.values():
@@ -152,13 +153,13 @@ class StreamWorkers:
     ----------
     most : int
         Processes at a time, retired ones aside.
-    observe : callable, optional
-        Told of every work how many seconds it waited and took.
+    metrics : Metrics
+        Told of every work how many seconds it waited and took, and of lost workers.
     """
 
-    def __init__(self, most: int, observe: Observe | None = None) -> None:
+    def __init__(self, most: int, metrics: Metrics) -> None:
         self._most = most
-        self._observe = observe
+        self._metrics = metrics
         self.setup: Setup | None = None
         """What new workers run with; set before the first one is needed"""
         self._workers: list[StreamWorker] = []
@@ -213,7 +214,7 @@ class StreamWorkers:
         self._workers.clear()
 
     def _started(self, setup: Setup) -> StreamWorker:
-        worker = StreamWorker(setup, self._observe)
+        worker = StreamWorker(setup, self._metrics)
         worker.start()
         self._workers.append(worker)
         return worker

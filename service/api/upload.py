@@ -8,15 +8,16 @@ from dataclasses import dataclass
 from tempfile import TemporaryFile
 from typing import BinaryIO
 
+from python_multipart.multipart import parse_options_header
 from starlette.datastructures import FormData, UploadFile
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 
 from service.errors import (
+    DiskFull,
     DoaError,
     InvalidOption,
     MissingAudio,
-    Overloaded,
     UnsupportedMediaType,
     UploadError,
 )
@@ -49,6 +50,8 @@ async def read_upload(request: Request) -> AsyncIterator[Upload]:
         If there is no recording in it.
     UploadTooLarge
         From the body limit, while the body is read.
+    DiskFull
+        If it cannot be stored.
     """
     is_form = _media_type(request) == "multipart/form-data"
     async with AsyncExitStack() as stack:
@@ -59,7 +62,7 @@ async def read_upload(request: Request) -> AsyncIterator[Upload]:
             upload.file.fileno()
             upload.file.flush()
         except OSError as error:
-            raise Overloaded("there is no room to store the upload: try again later") from error
+            raise DiskFull("there is no room to store the upload: try again later") from error
         if not size:
             raise MissingAudio(f"the recording is empty (0 bytes): {HOW}")
         yield upload
@@ -87,6 +90,7 @@ def _media_type(request: Request) -> str:
 @asynccontextmanager
 async def _form(request: Request) -> AsyncIterator[tuple[Upload, int]]:
     """A form's recording with its size in bytes, and its fields."""
+    _check_charset(request)
     limits = {"max_files": MAX_FILES, "max_fields": MAX_FIELDS, "max_part_size": MAX_FIELD_BYTES}
     try:
         form = await request.form(**limits)
@@ -98,6 +102,13 @@ async def _form(request: Request) -> AsyncIterator[tuple[Upload, int]]:
         yield Upload(audio.file, options), audio.size or 0
     finally:
         await form.close()
+
+
+def _check_charset(request: Request) -> None:
+    """Raise UploadError where the form's texts are not UTF-8: some codecs give no text at all."""
+    charset = parse_options_header(request.headers["content-type"])[1].get(b"charset", b"utf-8")
+    if charset.lower() not in (b"utf-8", b"utf8", b"us-ascii"):
+        raise UploadError(f"the form's charset is {charset.decode('latin-1')[:40]!r}: send UTF-8")
 
 
 @asynccontextmanager

@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from service import __version__
-from service.cli import arrays, batch, bench, bundle, check, localize, noise, serve, stream
+from service.cli import arrays, batch, bench, bundle, check, key, localize, noise, serve, stream
 from service.errors import DoaError
 
 
@@ -35,7 +35,7 @@ class Command(Protocol):
 
 
 COMMANDS: tuple[Command, ...] = (
-    serve, localize, batch, check, noise, bundle, arrays, bench, stream,
+    serve, localize, batch, check, noise, bundle, arrays, bench, stream, key,
 )  # fmt: skip
 
 FAILED = 2

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -14,6 +16,13 @@ if TYPE_CHECKING:
 
 MAX_SECONDS = 86_400.0  # the limits of the service protect others; this is the user's own machine
 MAX_CHANNELS = 256
+
+
+class Arguments(Protocol):
+    """A parser, or a group of one."""
+
+    @property
+    def add_argument(self) -> Callable[..., argparse.Action]: ...
 
 
 class Channels(Protocol):
@@ -46,6 +55,28 @@ def add_array(parser: argparse.ArgumentParser) -> None:
         metavar="NAME|JSON|@FILE",
         help="the microphone array: a preset (neuralmusic arrays), or JSON with positions_m",
     )
+
+
+def add_key(parser: Arguments) -> None:
+    """``--key``, for commands that ask a running service."""
+    parser.add_argument(
+        "--key",
+        metavar="KEY|@FILE",
+        help="the service's key; safer from other users of this machine: @FILE that holds it, or "
+        "the variable NEURALMUSIC_KEY",
+    )
+
+
+def given_key(argument: str | None) -> str | None:
+    """The key of ``--key``, else of the environment, else None."""
+    if argument is None:
+        return os.environ.get("NEURALMUSIC_KEY") or None
+    if not argument.startswith("@"):
+        return argument
+    try:
+        return Path(argument[1:]).read_text(encoding="ascii").strip()
+    except UnicodeDecodeError:
+        raise InvalidOption(f"{argument[1:]} holds no key") from None
 
 
 def generous_limits() -> AudioLimits:

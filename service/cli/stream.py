@@ -50,12 +50,14 @@ def _add_source(parser: argparse.ArgumentParser) -> None:
 def _add_session(parser: argparse.ArgumentParser) -> None:
     from typing import get_args
 
+    from service.cli.inputs import add_key
     from service.protocol.client_messages import StreamMethod
 
-    add = parser.add_argument_group("session").add_argument
+    group = parser.add_argument_group("session")
+    add = group.add_argument
     add("--url", default=URL, help=f"the service (default: {URL})")
     add("--wait", type=float, default=0.0, metavar="SECONDS", help="wait for it this long")
-    add("--token-file", type=Path, metavar="FILE", help="a file with the service's key")
+    add_key(group)
     add("--method", choices=get_args(StreamMethod), help="neural where a model fits the array")
     add("--model", metavar="NAME", help="the model bundle")
     add("--interval-ms", type=int, metavar="MS", help="audio between results (default: 100)")
@@ -128,7 +130,7 @@ def _source(args: argparse.Namespace) -> Source:
 
 def _stream(args: argparse.Namespace, source: Source) -> StreamClient:
     """The stream that was asked for, not yet open."""
-    from service.cli.inputs import choose_channels, read_array
+    from service.cli.inputs import choose_channels, given_key, read_array
     from service.client import StreamClient
     from service.doa.presets import PRESETS
 
@@ -148,7 +150,7 @@ def _stream(args: argparse.Namespace, source: Source) -> StreamClient:
     }
     return StreamClient(
         args.url,
-        token=args.token_file.read_text().strip() if args.token_file else None,
+        key=given_key(args.key),
         wait_s=args.wait,
         **{name: value for name, value in fields.items() if value is not None},
     )

@@ -35,7 +35,7 @@ def service_url(url: str) -> str:
     if parts.query or parts.fragment or parts.username is not None:
         raise InvalidOption(
             f"the address of {parts.hostname} may hold neither a query nor a name: a key is given "
-            "as token, never in an address"
+            "as key, never in an address"
         )
     path = parts.path.rstrip("/").removesuffix(STREAM_PATH)
     return urlunsplit((_PLAIN[parts.scheme], parts.netloc, path, "", ""))

@@ -50,7 +50,7 @@ class AsyncStreamClient:
         ``http(s)://`` or ``ws(s)://``, with or without ``/stream``.
     start : Start, optional
         The first message; or give its fields (``audio``, ``array``, ``output``, ...) by name.
-    token : str, optional
+    key : str, optional
         The service's key.
     reconnect : bool, optional
         Whether a lost session is followed by another; by default where ``overflow`` is
@@ -78,7 +78,7 @@ class AsyncStreamClient:
         url: str,
         start: Start | None = None,
         *,
-        token: str | None = None,
+        key: str | None = None,
         reconnect: bool | None = None,
         wait_s: float = 0.0,
         queue_s: float = 0.5,
@@ -88,7 +88,7 @@ class AsyncStreamClient:
         **fields: Any,
     ) -> None:
         options = StreamOptions(
-            token, reconnect, wait_s, queue_s, max_unread, backoff or Backoff(), timeouts
+            key, reconnect, wait_s, queue_s, max_unread, backoff or Backoff(), timeouts
         )
         self._sessions = Sessions(stream_url(url), read_start(start, fields), options)
         self._task: asyncio.Task[None] | None = None

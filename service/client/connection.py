@@ -39,8 +39,9 @@ from service.protocol.server_messages import (
 
 logger = logging.getLogger("neuralmusic.client")
 
-RETRYABLE_STATUS = frozenset({502, 503, 504})
-"""502 and 504 are a proxy's words for a service that restarts"""
+RETRYABLE_STATUS = frozenset({429, 502, 503, 504})
+"""502 and 504 are a proxy's words for a service that restarts; 429 passes: a robot that lost its
+network comes back before the service has noticed that its last session is over"""
 MIN_SEND_BUFFER = 64 * 1024
 MAX_SERVER_MESSAGE = 2**20
 
@@ -83,7 +84,7 @@ def read_start(start: Start | None, fields: Mapping[str, Any]) -> Start:
 
 
 async def open_connection(
-    url: str, start: Start, token: str | None, timeouts: Timeouts, send_buffer: int
+    url: str, start: Start, key: str | None, timeouts: Timeouts, send_buffer: int
 ) -> tuple[ClientConnection, Ready]:
     """Connect, send ``start`` and wait for ``ready``.
 
@@ -91,7 +92,7 @@ async def open_connection(
     ----------
     url : str
         ``ws://`` or ``wss://``.
-    token : str or None
+    key : str or None
         Goes into the header ``Authorization``.
     send_buffer : int
         Bytes that the operating system may hold back, at least 64 KiB: audio in its buffer is out
@@ -108,7 +109,7 @@ async def open_connection(
         websocket = await connect(
             url,
             subprotocols=[Subprotocol(SUBPROTOCOL)],
-            additional_headers={"Authorization": f"Bearer {token}"} if token else None,
+            additional_headers={"Authorization": f"Bearer {key}"} if key else None,
             compression=None,
             open_timeout=timeouts.open_s,
             close_timeout=timeouts.close_s,

@@ -38,7 +38,7 @@ class LocalizationClient:
     ----------
     url : str
         ``http://robot:8000``.
-    token : str, optional
+    key : str, optional
         The service's key.
     timeout_s : float
         Seconds without any byte of an answer after which a request is given up.
@@ -50,12 +50,12 @@ class LocalizationClient:
         self,
         url: str,
         *,
-        token: str | None = None,
+        key: str | None = None,
         timeout_s: float = TIMEOUT_S,
         transport: httpx2.BaseTransport | None = None,
     ) -> None:
         self._url = service_url(url)
-        self._http = httpx2.Client(**_settings(self._url, token, timeout_s), transport=transport)
+        self._http = httpx2.Client(**_settings(self._url, key, timeout_s), transport=transport)
 
     def localize(self, recording: Recording, *, array: Any, **options: Any) -> Answer:
         """Directions of arrival in a recording.
@@ -128,14 +128,12 @@ class AsyncLocalizationClient:
         self,
         url: str,
         *,
-        token: str | None = None,
+        key: str | None = None,
         timeout_s: float = TIMEOUT_S,
         transport: httpx2.AsyncBaseTransport | None = None,
     ) -> None:
         self._url = service_url(url)
-        self._http = httpx2.AsyncClient(
-            **_settings(self._url, token, timeout_s), transport=transport
-        )
+        self._http = httpx2.AsyncClient(**_settings(self._url, key, timeout_s), transport=transport)
 
     async def localize(self, recording: Recording, *, array: Any, **options: Any) -> Answer:
         """Directions of arrival in a recording, as ``LocalizationClient.localize``."""
@@ -176,10 +174,10 @@ class AsyncLocalizationClient:
         return _listed(response, name)
 
 
-def _settings(url: str, token: str | None, timeout_s: float) -> dict[str, Any]:
+def _settings(url: str, key: str | None, timeout_s: float) -> dict[str, Any]:
     return {
         "base_url": url,
-        "headers": {"Authorization": f"Bearer {token}"} if token else {},
+        "headers": {"Authorization": f"Bearer {key}"} if key else {},
         "timeout": httpx2.Timeout(timeout_s, connect=CONNECT_TIMEOUT_S),
     }
 

@@ -30,7 +30,7 @@ Failure = ServiceProblem | ServiceUnreachable
 class StreamOptions:
     """How a stream behaves; ``AsyncStreamClient`` tells what they mean."""
 
-    token: str | None = field(default=None, repr=False)
+    key: str | None = field(default=None, repr=False)
     reconnect: bool | None = None
     wait_s: float = 0.0
     queue_s: float = 0.5
@@ -115,7 +115,7 @@ class Sessions:
         audio = self.start.audio
         held_back = int(self._options.queue_s * audio.sample_rate) * audio.frame_bytes
         return await open_connection(
-            self.url, self.start, self._options.token, self._timeouts, held_back
+            self.url, self.start, self._options.key, self._timeouts, held_back
         )
 
     def _begin(self, ready: Ready) -> None:

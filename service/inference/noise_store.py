@@ -6,6 +6,7 @@ import logging
 import re
 import tempfile
 import threading
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,6 +20,8 @@ logger = logging.getLogger(__name__)
 NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")
 SUFFIX = ".npz"
 CAPACITY = 256
+MAX_HELD_BYTES = 256 * 2**20
+"""Of all profiles' covariances together; 256 of four microphones have 8 MB"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +43,8 @@ class NoiseStore:
         Where profiles outlive the process, each as ``NAME.npz``; read when first needed.
     capacity : int
         Most profiles.
+    max_bytes : int
+        Most bytes of all profiles' covariances together.
 
     Raises
     ------
@@ -47,11 +52,17 @@ class NoiseStore:
         If the folder is a file.
     """
 
-    def __init__(self, folder: Path | None = None, capacity: int = CAPACITY) -> None:
+    def __init__(
+        self,
+        folder: Path | None = None,
+        capacity: int = CAPACITY,
+        max_bytes: int = MAX_HELD_BYTES,
+    ) -> None:
         if folder is not None and folder.exists() and not folder.is_dir():
             raise ConfigError(f"noise_folder {folder} is no folder: name one for noise profiles")
         self._folder = folder
         self._capacity = capacity
+        self._max_bytes = max_bytes
         self._lock = threading.Lock()
         self._profiles: dict[str, StoredNoise] | None = None
 
@@ -89,6 +100,12 @@ class NoiseStore:
                     f"{self._capacity} noise profiles are stored, more are not kept: delete one "
                     "with DELETE /noise/NAME"
                 )
+            others = _bytes(stored for stored in profiles.values() if stored.name != name)
+            if others + noise.covariance.nbytes > self._max_bytes:
+                raise NoiseStoreFull(
+                    f"the noise profiles would have more than {self._max_bytes / 2**20:g} MB: "
+                    "delete one with DELETE /noise/NAME"
+                )
             if self._folder is not None:
                 _write(self._folder, name, noise)
             profiles[name] = StoredNoise(name, noise, datetime.now(UTC))
@@ -115,7 +132,9 @@ class NoiseStore:
     def _loaded(self) -> dict[str, StoredNoise]:
         """The profiles, read from the folder the first time; the lock is held."""
         if self._profiles is None:
-            self._profiles = {} if self._folder is None else _read(self._folder, self._capacity)
+            self._profiles = {}
+            if self._folder is not None:
+                self._profiles = _read(self._folder, self._capacity, self._max_bytes)
         return self._profiles
 
 
@@ -124,13 +143,17 @@ def usable_name(name: str) -> bool:
     return NAME.fullmatch(name) is not None and name[0] not in "._-"
 
 
-def _read(folder: Path, capacity: int) -> dict[str, StoredNoise]:
+def _bytes(profiles: Iterable[StoredNoise]) -> int:
+    return sum(stored.noise.covariance.nbytes for stored in profiles)
+
+
+def _read(folder: Path, capacity: int, max_bytes: int) -> dict[str, StoredNoise]:
     """The profiles of a folder; files that are none are left where they are."""
     profiles: dict[str, StoredNoise] = {}
     paths = sorted(path for path in folder.glob(f"*{SUFFIX}") if usable_name(path.stem))
     for path in paths:
-        if len(profiles) >= capacity:
-            logger.warning("%s holds more than %d noise profiles: rest left out", folder, capacity)
+        if len(profiles) >= capacity or _bytes(profiles.values()) >= max_bytes:
+            logger.warning("%s holds more noise profiles than are kept: rest left out", folder)
             break
         try:
             created = datetime.fromtimestamp(path.stat().st_mtime, UTC)

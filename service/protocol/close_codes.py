@@ -35,10 +35,10 @@ REASONS: Mapping[CloseCode, str] = {
     CloseCode.DRAINING: "the service is shutting down",
     CloseCode.OVERLOADED: "the service is full",
     CloseCode.INVALID_MESSAGE: "a message was wrong; its `error` says what",
-    CloseCode.UNAUTHORIZED: "the key is missing or unknown",
+    CloseCode.UNAUTHORIZED: "the key was taken away, has expired or lost its role",
     CloseCode.TIMEOUT: "nothing came, or nothing was read, for too long",
     CloseCode.SESSION_LIMIT: "the session reached its longest duration",
-    CloseCode.TOO_MANY_SESSIONS: "this client has too many sessions",
+    CloseCode.TOO_MANY_SESSIONS: "this client has too many sessions, or its key's audio is used up",
 }
 
 RETRYABLE = frozenset({1001, 1005, 1006, 1011, 1012, 1013, 1015})

@@ -1,11 +1,18 @@
 // The service's HTTP interface. Addresses are relative, so that the page also works behind a
 // proxy that serves it under a path.
 
+import { askForKey, authorization } from "./key.js";
+
 /** What the service said no to (RFC 9457), or why it could not be asked. */
 export class Problem extends Error {
   constructor({ title, detail, code, status }) {
     super(detail);
     Object.assign(this, { title, detail, code, status });
+  }
+
+  /** Whether a key, or another one, would help. */
+  get needsKey() {
+    return this.status === 401 || this.code === "role_missing";
   }
 }
 
@@ -45,16 +52,31 @@ async function getJson(path) {
   return (await ask(path, { headers, cache: "no-store" })).json();
 }
 
-async function ask(path, request) {
+/** Save an answer as a file: a link could send no key. */
+export async function save(path) {
+  const response = await ask(path, {});
+  const named = /filename="([^"]+)"/.exec(response.headers.get("Content-Disposition") ?? "");
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(await response.blob());
+  link.download = named?.[1] ?? "download";
+  link.click();
+  URL.revokeObjectURL(link.href);
+}
+
+/** Fetch with the key; an answer that is no success is thrown as a Problem. */
+export async function ask(path, request) {
   let response;
   try {
-    response = await fetch(path, request);
+    const headers = { ...request.headers, ...authorization() };
+    response = await fetch(path, { ...request, headers });
   } catch (error) {
     if (error.name === "AbortError") throw error;
     throw new Problem(UNREACHABLE);
   }
   if (response.ok) return response;
-  throw new Problem(await readProblem(response));
+  const problem = new Problem(await readProblem(response));
+  if (problem.needsKey) askForKey(problem);
+  throw problem;
 }
 
 async function readProblem(response) {

@@ -4,7 +4,8 @@
 import { TrackColours } from "./colours.js";
 import { Dial } from "./dial.js";
 import { byId, element, showFacts, showProblem } from "./dom.js";
-import { exportAddress } from "./api.js";
+import { exportAddress, save } from "./api.js";
+import { hasKey } from "./key.js";
 import { showSources } from "./readout.js";
 import { Strip } from "./strip.js";
 import { Timeline } from "./timeline.js";
@@ -92,10 +93,20 @@ export class LiveView {
     showFacts(byId("live-facts"), this.facts);
     byId("live-exports").replaceChildren(
       ...["csv", "jsonl"].map((format) =>
-        element("a", { href: exportAddress(session, format), download: true, text: format.toUpperCase() }),
+        this.#export(exportAddress(session, format), format.toUpperCase()),
       ),
     );
     this.say("Listening.", "live");
+  }
+
+  #export(href, text) {
+    const link = element("a", { href, download: true, text });
+    link.addEventListener("click", (event) => {
+      if (!hasKey()) return;
+      event.preventDefault();
+      save(href).catch((problem) => showProblem(byId("live-problem"), problem));
+    });
+    return link;
   }
 
   #history(points) {

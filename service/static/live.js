@@ -27,6 +27,11 @@ export class Live {
     this.#poll();
   }
 
+  /** Ask for the sessions again, with another key. */
+  again() {
+    this.#poll();
+  }
+
   /** Send the setup's file as a live stream; why not, or null. */
   replay(setup) {
     const why = whyNotReplayable(setup.header);
@@ -64,6 +69,7 @@ export class Live {
       this.#show(await sessions());
     } catch (problem) {
       byId("sessions-note").textContent = problem.detail ?? "The sessions cannot be read.";
+      if (problem.needsKey) return; // until there is another
     }
     clearTimeout(this.#timer);
     this.#timer = setTimeout(() => this.#poll(), POLL_MS);

@@ -2,6 +2,7 @@
 
 import { arrays, models, signpost } from "./api.js";
 import { byId, showProblem } from "./dom.js";
+import { listenForKeys } from "./key.js";
 import { Live } from "./live.js";
 import { RecordingView } from "./recording.js";
 
@@ -52,13 +53,18 @@ async function begin() {
     showProblem(byId("problem"), null);
   } catch (problem) {
     if (!problem.detail) throw problem;
-    byId("health").textContent = "not ready";
+    byId("health").textContent = problem.needsKey ? "key needed" : "not ready";
     byId("health").dataset.state = "broken";
+    if (problem.needsKey) return; // the form asks for one
     showProblem(byId("problem"), problem);
     setTimeout(begin, AGAIN_MS);
   }
 }
 
+listenForKeys(() => {
+  begin();
+  live.again();
+});
 listenToTabs();
 if (location.hash === "#live") show("live");
 begin();

@@ -1,6 +1,7 @@
 // A WAV file sent as a robot would send its microphones: at its own pace, over the WebSocket.
 
 import { streamAddress } from "./api.js";
+import { subprotocols } from "./key.js";
 
 const SUBPROTOCOL = "doa.v1";
 const STEP_MS = 60;
@@ -36,7 +37,7 @@ export class Replay {
     this.view = view;
     this.onEnd = onEnd;
     view.begin(`Sending ${this.file.name}…`);
-    this.socket = new WebSocket(streamAddress(), SUBPROTOCOL);
+    this.socket = new WebSocket(streamAddress(), subprotocols(SUBPROTOCOL));
     this.socket.binaryType = "arraybuffer";
     this.socket.onopen = () => this.socket.send(JSON.stringify(startMessage(setup)));
     this.socket.onmessage = ({ data }) => this.#take(JSON.parse(data));

@@ -2,14 +2,12 @@
 // Of a session that has ended the last minute is shown.
 
 import { eventsAddress, sessions } from "./api.js";
+import { serverEvents } from "./events.js";
 
-const TYPES = [
-  "ready", "history", "result", "warning", "stats", "calibrated", "error", "closing", "summary",
-];
 const WAITS = [0.5, 1, 2, 4, 8]; // seconds before the next attempts
 
 export class Watch {
-  #source = null;
+  #reading = new AbortController();
   #timer = 0;
   #failures = 0;
   #over = false;
@@ -26,17 +24,19 @@ export class Watch {
   close() {
     this.#over = true;
     clearTimeout(this.#timer);
-    this.#source?.close();
+    this.#reading.abort();
   }
 
-  #open() {
-    this.#source = new EventSource(eventsAddress(this.session));
-    for (const type of TYPES) {
-      this.#source.addEventListener(type, (event) => {
-        if (event.data !== undefined) this.#take(type, JSON.parse(event.data));
-      });
+  async #open() {
+    const { signal } = (this.#reading = new AbortController());
+    try {
+      for await (const { type, data } of serverEvents(eventsAddress(this.session), signal)) {
+        this.#take(type, JSON.parse(data));
+      }
+    } catch {
+      // Aborted, refused or broken off: what follows is the same.
     }
-    this.#source.onerror = () => this.#broken();
+    if (!signal.aborted) this.#broken();
   }
 
   #take(type, message) {
@@ -46,8 +46,7 @@ export class Watch {
     if (type === "closing") this.#over = true; // a summary may follow; no new attempt may
   }
 
-  async #broken() {
-    this.#source.close();
+  #broken() {
     if (this.#over) return;
     if (this.ended) {
       this.close();
@@ -60,7 +59,7 @@ export class Watch {
     this.#timer = setTimeout(() => this.#again(), wait * 1000);
   }
 
-  /** A session that is gone answers 404, which an EventSource does not tell: ask first. */
+  /** A session that has ended still answers with its last minute: ask first if it runs. */
   async #again() {
     try {
       const { sessions: known } = await sessions();

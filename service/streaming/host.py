@@ -48,7 +48,7 @@ class StreamHost:
         except DoaError as error:
             return Failed(error)
         except Exception:
-            log.exception("session %s failed", work.session)
+            log.exception("the stream failed", extra={"session_id": work.session})
             return Failed(DoaError(UNEXPECTED))
 
     def _open(self, work: Open) -> Opened:

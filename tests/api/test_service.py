@@ -56,6 +56,7 @@ def test_a_full_disk_is_no_server_error(monkeypatch: pytest.MonkeyPatch) -> None
             client.post("/localize", files={"audio": b"RIFF"}),
         ):
             assert response.status_code == 503
+            assert response.json()["code"] == "disk_full"
             assert "no room" in response.json()["detail"]
 
 

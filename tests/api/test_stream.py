@@ -210,6 +210,7 @@ def test_a_client_that_never_reads_is_cut_off(monkeypatch: pytest.MonkeyPatch) -
     asyncio.run(run())
     assert deaf.closed
     assert state.streams.running == 0
+    assert 'sessions_ended_total{reason="timeout"} 1.0' in state.metrics.exposition("")[0].decode()
 
 
 def settle(service: RunningService) -> None:

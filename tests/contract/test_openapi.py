@@ -79,10 +79,21 @@ def test_every_error_of_a_request_is_documented_with_its_status(document: Any) -
 
 def test_every_error_of_storing_noise_is_documented_with_its_status(document: Any) -> None:
     assert problems(document["paths"]["/noise/{name}"]["put"]) == {
+        (400, "key_in_address"),
+        (401, "key_missing"),
+        (401, "key_unknown"),
+        (401, "key_expired"),
+        (403, "role_missing"),
+        (403, "origin_refused"),
+        (408, "request_timeout"),
         (409, "noise_full"),
+        (421, "host_refused"),
+        (429, "too_many_uploads"),
+        (429, "audio_quota"),
         (413, "upload_too_large"),
         (422, "noise_invalid"),
         (422, "option_invalid"),
+        (503, "disk_full"),
     }
 
 

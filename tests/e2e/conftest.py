@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
+from running_service import serving
 
 ROOT = Path(__file__).parents[2]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -34,18 +32,8 @@ PATIENCE = 30_000  # milliseconds until a hanging test fails
 
 @pytest.fixture(scope="session")
 def url() -> Iterator[str]:
-    """A service of its own process on a free port."""
-    command = [sys.executable, "-c", "from service.cli import main; main()", "serve", "--port", "0"]
-    # Nobody reads the pipe after the first line: it must not fill up.
-    environment = {**os.environ, "NEURALMUSIC_LOG_LEVEL": "warning"}
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment
-    ) as process:
-        try:
-            assert process.stdout is not None
-            yield re.findall(r"http://\S+", process.stdout.readline())[0]
-        finally:
-            process.terminate()
+    with serving() as address:
+        yield address
 
 
 @pytest.fixture(scope="module")  # its event loop must be gone when other tests run theirs
@@ -110,7 +98,9 @@ def visit(chromium: Any, url: str) -> Iterator[Callable[..., Visit]]:
     """Opens the page; in the end nothing was complained of and nothing was asked elsewhere."""
     opened: list[Visit] = []
 
-    def open_page(viewport: dict[str, int] = DESKTOP, view: str = "", **how: Any) -> Visit:
+    def open_page(
+        viewport: dict[str, int] = DESKTOP, view: str = "", health: str = "ready", **how: Any
+    ) -> Visit:
         page = chromium.new_context(viewport=viewport, **how).new_page()
         page.set_default_timeout(PATIENCE)
         here = Visit(page, url)
@@ -119,7 +109,7 @@ def visit(chromium: Any, url: str) -> Iterator[Callable[..., Visit]]:
         page.on("pageerror", lambda error: here.complaints.append(str(error)))
         page.on("request", here.on_request)
         page.goto(f"{url}/{view}")
-        page.locator("#health", has_text="ready").wait_for()
+        page.locator("#health", has_text=health).wait_for()
         return here
 
     yield open_page

@@ -100,7 +100,7 @@ def test_wrong_combinations_are_one_sentence(
         (["--save", "out.txt"], "end its name in .jsonl or .csv"),
         (["--udp", "robot"], "--udp must be HOST:PORT"),
         (["--model", "none"], "no model is named 'none'"),
-        (["--token-file", "none.key"], "none.key: No such file"),
+        (["--key", "@none.key"], "none.key: No such file"),
     ],
 )
 def test_wrong_options_are_one_sentence(

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from service.auth import new_token
 from service.errors import ConfigError
 from service.settings import Settings, load_settings, usable_cpus, variable
 
@@ -57,6 +58,7 @@ def test_an_empty_variable_is_one_not_given(monkeypatch: pytest.MonkeyPatch) -> 
         ("NEURALMUSIC_MAX_UPLOAD", "1", "did you mean NEURALMUSIC_MAX_UPLOAD_BYTES?"),
         ("NEURALMUSIC_PROT", "", "did you mean NEURALMUSIC_PORT?"),
         ("NEURALMUSIC_XYZZY", "1", "there are NEURALMUSIC_HOST, NEURALMUSIC_PORT, "),
+        ("NEURALMUSIC_KEY", "/etc/keys", "the service's file of keys is NEURALMUSIC_KEYS"),
         ("NEURALMUSIC_PORT", "tcp://10.0.0.1:80", "enableServiceLinks: false"),
         ("NEURALMUSIC_SERVICE_HOST", "10.0.0.1", "enableServiceLinks: false"),
     ],
@@ -74,6 +76,7 @@ def test_a_wrong_variable_is_refused_with_a_sentence(
     ("flags", "sentence"),
     [
         ({"port": -1}, "port must be at least 0, but is -1 (flag or NEURALMUSIC_PORT)"),
+        ({"traces": "collector:4317"}, "traces must be an address as http://collector:4318"),
         ({"prot": 1}, "unknown setting prot: did you mean port?"),
         ({"port": -1, "queue": -1}, "; queue must be at least 0"),
     ],
@@ -88,6 +91,8 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     examples = {"host": "::1", "models": "/m", "default_model": "w", "log_level": "debug"}
+    examples |= {"log_format": "json", "traces": "http://collector:4318"}
+    examples |= {"hosts": "robot.local, doa.example", "keys": "/k"}
     examples |= {"noise_folder": "/n", "stream_buffer": "2.5", "origins": "http://a,http://b"}
     for name, field in Settings.model_fields.items():
         assert field.description, name
@@ -106,6 +111,7 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
         "queue": 2048,
         "stall_timeout": 2048.0,
         "max_upload_bytes": 2048,
+        "body_timeout": 2048.0,
         "max_seconds": 2048.0,
         "max_channels": 9,
         "max_sessions": 2048,
@@ -115,6 +121,15 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
         "idle_timeout": 2048.0,
         "max_session": 2048.0,
         "origins": ("http://a", "http://b"),
+        "hosts": ("robot.local", "doa.example"),
+        "keys": Path("/k"),
         "noise_folder": Path("/n"),
         "log_level": "debug",
+        "log_format": "json",
+        "traces": "http://collector:4318",
     }
+
+
+def test_a_clients_key_is_no_setting_and_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NEURALMUSIC_KEY", new_token())
+    assert load_settings().keys is None

@@ -130,7 +130,7 @@ def test_the_key_is_sent_as_a_header() -> None:
         return httpx2.Response(200, json={"sessions": []})
 
     transport = httpx2.MockTransport(answer)
-    with LocalizationClient("http://robot", token="secret", transport=transport) as client:
+    with LocalizationClient("http://robot", key="secret", transport=transport) as client:
         assert client.sessions() == []
     assert seen == ["Bearer secret"]
 

@@ -47,7 +47,7 @@ def test_a_session_from_start_to_summary(service_of: ServiceOf) -> None:
         peer.finish(audio_s=0.1)
 
     service, audio = service_of(script), samples(1600)
-    asked = options(token="secret", output={"interval_ms": 50}, client="r2")
+    asked = options(key="secret", output={"interval_ms": 50}, client="r2")
     with StreamClient(service.url, **asked) as stream:
         assert stream.ready.session == "one"
         stream.send(audio)

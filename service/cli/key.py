@@ -1,0 +1,143 @@
+"""``neuralmusic key``: make API keys, and show those of a file."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from service.cli.terminal import line, output, table
+from service.errors import InvalidOption
+
+if TYPE_CHECKING:
+    from service.auth import Key
+
+NAME = "key"
+SUMMARY = "make and list the API keys of a service"
+
+PRIVATE = 0o600
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    commands = parser.add_subparsers(metavar="ACTION", required=True, dest="action")
+    _configure_new(
+        commands.add_parser(
+            "new",
+            help="make a key",
+            description="Make a key: the token is printed once, the file holds its hash alone.",
+            allow_abbrev=False,
+        )
+    )
+    shown = commands.add_parser(
+        "list",
+        help="check a file of keys and list them",
+        description="Check a file of keys and list them; no token is in it.",
+        allow_abbrev=False,
+    )
+    shown.add_argument("file", type=Path, metavar="FILE", help="as NEURALMUSIC_KEYS names it")
+
+
+def _configure_new(parser: argparse.ArgumentParser) -> None:
+    from service.auth import ROLES
+
+    add = parser.add_argument
+    add("name", metavar="NAME", help="of whoever will have it, for logs")
+    add("--roles", required=True, metavar="ROLE,...", help=f"of {', '.join(ROLES)}")
+    add("--file", type=Path, metavar="FILE", help="add the line to this file, made where missing")
+    add("--max-sessions", type=int, metavar="N", help="streams at the same time")
+    add("--max-uploads", type=int, metavar="N", help="uploads at the same time")
+    add("--audio-seconds-per-hour", type=float, metavar="S", help="of files and streams together")
+    add(
+        "--origins",
+        metavar="URL,...",
+        help="web pages that may use it, such as https://dash.example",
+    )
+    add("--expires", metavar="DATE", help="as 2030-01-31, from whose midnight (UTC) it is refused")
+
+
+def run(args: argparse.Namespace) -> int:
+    return _new(args) if args.action == "new" else _list(args.file)
+
+
+def _new(args: argparse.Namespace) -> int:
+    from service.auth import new_token, read_keys
+
+    token = new_token()
+    key = _key(args, token)
+    if args.file is None:
+        print(f"token: {token}")
+        print(f"line:  {key.line}")
+        return 0
+    if args.file.exists() and args.file.stat().st_size:
+        if key.name in {known.name for known in read_keys(args.file)}:
+            raise InvalidOption(f"{args.file} has a key {key.name}: take another name")
+        key_line = ("" if args.file.read_text().endswith("\n") else "\n") + key.line
+    else:
+        key_line = key.line
+    descriptor = os.open(args.file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, PRIVATE)
+    with open(descriptor, "w", encoding="utf-8") as file:
+        file.write(f"{key_line}\n")
+    print(f"token: {token}")
+    print(
+        f"It is shown this once. {args.file} holds its hash; a running service reads it on SIGHUP."
+    )
+    return 0
+
+
+def _key(args: argparse.Namespace, token: str) -> Key:
+    from pydantic import ValidationError
+
+    from service.auth import Key, token_sha256
+
+    try:
+        return Key.model_validate(
+            {
+                "name": args.name,
+                "sha256": token_sha256(token),
+                "roles": _parts(args.roles),
+                "max_sessions": args.max_sessions,
+                "max_uploads": args.max_uploads,
+                "audio_seconds_per_hour": args.audio_seconds_per_hour,
+                "origins": _parts(args.origins or ""),
+                "expires": _midnight(args.expires) if args.expires else None,
+            }
+        )
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = str(first["loc"][0])
+        raise InvalidOption(f"{place}: {first['msg']}, but it is {first['input']!r}") from None
+
+
+def _parts(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def _midnight(text: str) -> datetime:
+    try:
+        date = datetime.fromisoformat(text)
+    except ValueError:
+        raise InvalidOption(
+            f"--expires must be a date such as 2030-01-31, but is {text!r}"
+        ) from None
+    return date if date.tzinfo else date.replace(tzinfo=UTC)
+
+
+def _list(path: Path) -> int:
+    from service.auth import read_keys
+
+    console = output()
+    drawn = table(console, "name", "roles", "sessions", "uploads", "audio s/h", "expires", "hash")
+    for key in read_keys(path):
+        limits = (key.max_sessions, key.max_uploads, key.audio_seconds_per_hour)
+        drawn.add_row(
+            key.name,
+            ", ".join(key.roles),
+            *("" if limit is None else f"{limit:g}" for limit in limits),
+            f"{key.expires:%Y-%m-%d %H:%M}" if key.expires else "",
+            key.sha256[:8],
+        )
+    console.print(drawn)
+    line(console, f"{path} is in order")
+    return 0

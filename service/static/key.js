@@ -1,0 +1,64 @@
+// The service's key, where it asks for one. It is kept for this tab alone, and sent as a header or,
+// by a WebSocket, which can set none, as a subprotocol; never in an address.
+
+import { byId } from "./dom.js";
+
+const STORE = "neuralmusic.key";
+const NEEDED = "key-needed";
+const GIVEN = "key-given";
+
+let current = read();
+
+/** Whether the user gave a key. */
+export const hasKey = () => current !== "";
+
+/** The headers of a request. */
+export const authorization = () => (current ? { Authorization: `Bearer ${current}` } : {});
+
+/** The subprotocols to offer for a stream. */
+export const subprotocols = (protocol) =>
+  current ? [protocol, `bearer.${base64url(current)}`] : [protocol];
+
+/** Ask the user for a key, since the service refused with this problem. */
+export const askForKey = (problem) => dispatchEvent(new CustomEvent(NEEDED, { detail: problem }));
+
+/** Show the form when a key is needed; `onGiven` is called with every new one. */
+export function listenForKeys(onGiven) {
+  addEventListener(NEEDED, ({ detail: problem }) => {
+    const before = byId("key-form").hidden;
+    byId("key-form").hidden = false;
+    byId("key-why").textContent = problem.detail;
+    if (before) byId("key").focus();
+  });
+  addEventListener(GIVEN, onGiven);
+  byId("key-form").addEventListener("submit", (event) => {
+    event.preventDefault();
+    remember(byId("key").value.trim());
+    byId("key").value = "";
+    byId("key-form").hidden = true;
+    dispatchEvent(new Event(GIVEN));
+  });
+}
+
+function remember(key) {
+  current = key;
+  try {
+    sessionStorage.setItem(STORE, key);
+  } catch {
+    // A browser that keeps nothing: the key lasts until the page is loaded anew.
+  }
+}
+
+function read() {
+  try {
+    return sessionStorage.getItem(STORE) ?? "";
+  } catch {
+    return "";
+  }
+}
+
+function base64url(text) {
+  const bytes = new TextEncoder().encode(text);
+  const letters = btoa(String.fromCharCode(...bytes));
+  return letters.replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");
+}

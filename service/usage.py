@@ -1,0 +1,91 @@
+"""What one API key uses: streams and uploads now, seconds of audio over the last hour."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from service.errors import AudioQuota, TooManySessions, TooManyUploads
+
+HOUR_S = 3600.0
+
+
+class Usage:
+    """The counts of one key; safe to use from several threads. A limit of None is none.
+
+    Audio is a leaky bucket: what was used drains at the limit's own pace, so that a stream in
+    real time goes on for ever with a limit of 3600 s an hour, and whoever spent everything at once
+    may go on a little later, not an hour later. In any one hour at most twice the limit passes.
+
+    Parameters
+    ----------
+    clock : callable
+        Seconds of a monotonic clock.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        self.sessions = 0
+        self.uploads = 0
+        self._audio_s = 0.0
+        """Seconds of audio that have not drained yet, at ``_since``"""
+        self._since = clock()
+
+    @contextmanager
+    def session(self, most: int | None) -> Iterator[None]:
+        """Hold a place for a stream, or raise TooManySessions."""
+        with self._lock:
+            if most is not None and self.sessions >= most:
+                raise TooManySessions(
+                    f"this key has {self.sessions} streams, as many as it may: close one"
+                )
+            self.sessions += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self.sessions -= 1
+
+    @contextmanager
+    def upload(self, most: int | None) -> Iterator[None]:
+        """Hold a place for an upload, or raise TooManyUploads."""
+        with self._lock:
+            if most is not None and self.uploads >= most:
+                raise TooManyUploads(
+                    f"{self.uploads} uploads of this key are in work, as many as it may have: "
+                    "wait for one"
+                )
+            self.uploads += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self.uploads -= 1
+
+    def charge(self, seconds: float, per_hour: float | None) -> None:
+        """Count seconds of audio; they may exceed the limit, what follows is then refused."""
+        with self._lock:
+            self._drain(per_hour)
+            self._audio_s += seconds
+
+    def check_audio(self, per_hour: float | None) -> None:
+        """Raise AudioQuota where the limit is used up."""
+        if per_hour is None:
+            return
+        with self._lock:
+            self._drain(per_hour)
+            beyond = self._audio_s - per_hour
+        if beyond >= 0:
+            wait = max(1.0, beyond * HOUR_S / per_hour)
+            raise AudioQuota(
+                f"this key has used its {per_hour:g} s of audio an hour: go on in {wait:.0f} s",
+                wait,
+            )
+
+    def _drain(self, per_hour: float | None) -> None:
+        now = self._clock()
+        elapsed, self._since = now - self._since, now
+        drained = elapsed * per_hour / HOUR_S if per_hour is not None else self._audio_s
+        self._audio_s = max(0.0, self._audio_s - drained)
