@@ -7,6 +7,7 @@ GET, and ``Host`` as the address has it, whatever that name resolves to.
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Iterator
 from contextlib import suppress
 from ipaddress import ip_address
@@ -164,3 +165,30 @@ def test_no_host_or_origin_raises_anything_but_a_refusal(text: str) -> None:
         check_origin(Headers({"origin": text, "host": "robot"}), ())
         # Only the robot's own origin passes, whatever scheme it has.
         assert text.rpartition("//")[2].startswith("robot")
+
+
+def test_no_path_of_a_request_begins_a_line_of_the_log(
+    service: RunningService, caplog: pytest.LogCaptureFixture
+) -> None:
+    access = logging.getLogger("uvicorn.access")
+    level = access.level
+    access.setLevel(logging.INFO)
+    access.addHandler(caplog.handler)
+    try:
+        for path in ("/x%0d%0aFORGED%20line", "/x%1b%5b31mFORGED", "/x?q=%0aFORGED"):
+            assert httpx2.get(service.url + path).status_code == 404
+    finally:
+        access.removeHandler(caplog.handler)
+        access.setLevel(level)
+    messages = [record.getMessage() for record in caplog.records if "FORGED" in record.getMessage()]
+    assert len(messages) == 3
+    assert all(message.isprintable() for message in messages)
+
+
+@pytest.mark.parametrize("name", ["a%22b", "a%0d%0aX-Forged:1", "a%3Bb", "a%2F..%2Fb", "%C3%A4"])
+def test_no_name_ends_up_in_a_header_but_plain_ones(name: str, client: TestClient) -> None:
+    for method in ("PUT", "GET"):
+        answer = client.request(method, f"/noise/{name}", content=b"x")
+        assert answer.status_code in (404, 422)
+        assert "x-forged" not in answer.headers
+        assert "content-disposition" not in answer.headers
