@@ -17,8 +17,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from service.api.hosts import check_host
 from service.api.origins import SAFE_METHODS, check_origin
 from service.api.problems import problem_response
-from service.auth import ANYONE, ROLES, Key, Keys, Role
+from service.auth import ANYONE, Keys
 from service.errors import DoaError, KeyInAddress
+from service.key_file import ROLES, Key, Role
 from service.settings import Settings
 
 PUBLIC: tuple[Role, ...] = ()

@@ -16,9 +16,9 @@ from service.api.state import ServiceState, state_of
 from service.api.upload import read_upload
 from service.api.workers import Progress
 from service.audio import Recording
-from service.auth import Key
 from service.errors import InvalidOption
 from service.inference.recording import localize_recording
+from service.key_file import Key
 
 MAX_WINDOWS = 50_000
 """Of one answer; each holds a spectrum in memory"""

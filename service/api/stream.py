@@ -11,7 +11,7 @@ from service.api.guard import key_of
 from service.api.outbox import Outbox, message_json
 from service.api.problems import problem_response
 from service.api.state import ServiceState
-from service.auth import ANYONE, Key
+from service.auth import ANYONE
 from service.errors import (
     AccessError,
     AudioQuota,
@@ -19,6 +19,7 @@ from service.errors import (
     SubprotocolMissing,
     TooManySessions,
 )
+from service.key_file import Key
 from service.protocol import SUBPROTOCOL
 from service.protocol.close_codes import CloseCode
 from service.protocol.server_messages import OdasSsl, OdasSst, Result, ServerMessage, Stats

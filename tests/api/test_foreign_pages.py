@@ -23,9 +23,9 @@ from starlette.datastructures import Headers
 from service.api.hosts import check_host, host_name
 from service.api.origins import check_origin
 from service.app import create_app
-from service.auth import new_token, token_sha256
 from service.errors import HostRefused, OriginRefused
 from service.inference.registry import BundleRegistry
+from service.key_file import new_token, token_sha256
 from service.settings import Settings
 
 EVIL = "http://evil.example"

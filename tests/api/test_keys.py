@@ -25,11 +25,11 @@ from websockets.asyncio.client import ClientConnection, connect
 
 from service.api.guard import NEEDED, needed_roles
 from service.app import create_app
-from service.auth import ROLES, Key, new_token, token_sha256
 from service.client import LocalizationClient, ServiceProblem, StreamClient
 from service.client.errors import StreamClosed, StreamRefused
 from service.errors import ConfigError
 from service.inference.registry import BundleRegistry
+from service.key_file import ROLES, Key, new_token, token_sha256
 from service.server import warn_if_open
 from service.settings import Settings
 
@@ -423,6 +423,51 @@ def test_a_stream_whose_key_is_taken_away_is_told_and_closed(
 
     last, close_code = asyncio.run(run())
     assert (last["type"], last["code"], close_code) == ("error", "key_unknown", 4401)
+
+
+def test_a_watcher_whose_key_is_taken_away_sees_no_more(
+    service: RunningService, key_file: KeyFile, bearer: Any
+) -> None:
+    token = key_file.add("leaving", "watch")
+    keys = service._app.state.service.keys
+    keys.reload()
+
+    async def run() -> list[str]:
+        kinds: list[str] = []
+        watching = {"Authorization": f"Bearer {token}"}
+        async with (
+            asyncio.timeout(PATIENCE),
+            httpx2.AsyncClient(base_url=service.url) as http,
+            handshake(service, additional_headers=bearer("stream")) as socket,
+        ):
+            await started(socket)
+            known = (await http.get("/sessions", headers=watching)).json()["sessions"]
+            (session,) = (each["id"] for each in known if each["state"] == "running")
+            events = f"/sessions/{session}/events"
+            async with http.stream("GET", events, headers=watching) as answer:
+                async for line in answer.aiter_lines():
+                    if line.startswith("event: "):
+                        kinds.append(line.removeprefix("event: "))
+                    if line == "" and kinds[-1] == "history":
+                        key_file.remove("leaving")
+                        keys.reload()
+                        for number in range(5):
+                            await socket.send(json.dumps({"type": "ping", "id": number}))
+            assert socket.close_code is None
+        return kinds
+
+    kinds = asyncio.run(run())
+    assert kinds[:2] == ["ready", "history"]
+    assert len(kinds) <= 3  # one message may have been on its way
+
+
+def test_a_prefix_of_a_proxy_changes_nothing(key_file: KeyFile, bearer: Any) -> None:
+    app = create_app(Settings(keys=key_file.path), BundleRegistry(()))
+    client = TestClient(app, root_path="/doa")
+    assert client.get("/doa/livez").status_code == 200
+    for path in ("/doa/sessions", "/sessions"):
+        assert client.get(path).status_code == 401
+        assert client.get(path, headers=bearer("watch")).status_code == 200
 
 
 # Clients

@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 from command_line import refusal, run
 
-from service.auth import TOKEN, Key, Keys, new_token, read_keys
+from service.auth import Keys
 from service.cli.inputs import given_key
+from service.key_file import TOKEN, Key, new_token, read_keys
 
 Capture = pytest.CaptureFixture[str]
 
