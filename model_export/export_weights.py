@@ -121,7 +121,7 @@ def candidate_search(
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "covariance.onnx"
     export_onnx(covariance_graph(pipeline), path)
-    engine = Engine(path)
+    engine = Engine(path.read_bytes(), path.name)
     analysis = analysis_of(pipeline)
     return lambda array: CandidateSearch(engine, analysis, array)
 

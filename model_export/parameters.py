@@ -54,7 +54,8 @@ def trained_model(bundle: Bundle) -> TrainedModel:
             f"the bundle {manifest.name} holds no {PARAMETERS} and cannot be fine-tuned: it was "
             "exported before there was one; export its run again, or take a newer bundle"
         )
-    arrays = read_arrays(bundle.folder / PARAMETERS)
+    path = bundle.folder / PARAMETERS
+    arrays = read_arrays(path.read_bytes(), path)
     try:
         config = TrainingConfig.from_dict(manifest.training["config"])
         task = task_of(config)

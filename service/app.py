@@ -6,25 +6,20 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
-import anyio.to_thread
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
+from starlette.types import ASGIApp
 
 from service import __version__
-from service.api import catalog, localize, noise, page, probes, sessions, stream
+from service.api import admin, catalog, localize, metrics, noise, page, probes, sessions, stream
 from service.api.guard import Guard
 from service.api.guard_contract import document_guard
 from service.api.limits import BodyLimit
 from service.api.problems import Problem, install_problem_handlers
+from service.api.requests import RequestWatch
 from service.api.state import ServiceState
-from service.api.stream_workers import StreamWorkers
-from service.api.workers import WorkerPool
-from service.auth import Keys
-from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.settings import Settings, load_settings
-from service.startup import load_registry
-from service.streaming.registry import SessionRegistry
 
 DESCRIPTION = """
 Directions of arrival from microphone array audio, with a neural covariance model and MUSIC or with
@@ -45,7 +40,14 @@ TAGS = [
 
 
 class DocumentedApp(FastAPI):
-    """FastAPI whose document has ``Problem`` and the keys, which no endpoint's type mentions."""
+    """FastAPI whose requests are watched, and whose document has ``Problem`` and the keys.
+
+    No endpoint's type mentions them.
+    """
+
+    def build_middleware_stack(self) -> ASGIApp:
+        """Starlette's own, watched from outside of its answer to a defect."""
+        return RequestWatch(super().build_middleware_stack(), self.state.service.metrics)
 
     def openapi(self) -> dict[str, Any]:
         document = super().openapi()
@@ -57,22 +59,15 @@ class DocumentedApp(FastAPI):
 def create_app(settings: Settings | None = None, registry: BundleRegistry | None = None) -> FastAPI:
     """The application; without a registry it loads its bundles at startup."""
     settings = settings or load_settings()
-    state = ServiceState(
-        settings,
-        WorkerPool(settings.workers, settings.queue),
-        SessionRegistry(settings.max_sessions),
-        StreamWorkers(settings),
-        registry,
-        NoiseStore(settings.noise_folder),
-        keys=Keys(settings.keys),
-    )
+    state = ServiceState.of(settings)
+    if registry is not None:
+        state.install(registry)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        if state.registry is None:
-            state.registry = await anyio.to_thread.run_sync(load_registry, settings)
+        await state.load()
         yield
-        await state.stream_workers.stop()
+        await state.stop()
 
     app = DocumentedApp(
         title="NeuralMUSIC Service",
@@ -82,6 +77,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
         license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
         openapi_tags=TAGS,
         lifespan=lifespan,
+        telemetry=state.traces.telemetry,
         redoc_url=None,
         generate_unique_id_function=_operation_id,
     )
@@ -89,7 +85,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
     app.add_middleware(Guard, settings=settings, keys=state.keys)
     install_problem_handlers(app)
-    for each in (localize, stream, sessions, noise, catalog, probes, page):
+    for each in (localize, stream, sessions, noise, catalog, admin, probes, metrics, page):
         app.include_router(each.router)
     return app
 

@@ -3,7 +3,7 @@
 DoaError
 ├─ ConfigError
 ├─ AudioError
-│  ├─ NotAudio · EmptyAudio · TruncatedAudio · NonFiniteAudio
+│  ├─ NotAudio · EmptyAudio · TruncatedAudio · NonFiniteAudio · DecodingFailed
 │  ├─ ChannelMismatch · TooManyChannels · UnsupportedSampleRate · AudioTooLong
 ├─ ArrayError
 │  └─ UnknownArray · InvalidGeometry · InvalidChannelMap
@@ -21,16 +21,19 @@ DoaError
 │  └─ TooManyUploads · AudioQuota
 ├─ StreamProtocolError
 │  └─ InvalidMessage · AudioBeforeStart · MessageTooBig · StreamTimeout · SessionLimit ·
-│     TooManySessions · SubprotocolMissing · WorkerLost
+│     TooManySessions · SubprotocolMissing
 ├─ BundleError
-│  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed
+│  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed · ReloadRefused
 └─ CapacityError
-   └─ Overloaded · NotReady · Draining
+   └─ Overloaded · DiskFull · NotReady · Draining · WorkerLost
 
 ``service.client.errors`` adds those of the clients.
 """
 
 from __future__ import annotations
+
+UNEXPECTED = "the service failed; its log says why: please report it"
+"""Of errors that nobody foresaw; their cause stays in the log"""
 
 
 class DoaError(Exception):
@@ -87,6 +90,12 @@ class NonFiniteAudio(AudioError):
     """Samples are NaN, infinite or absurdly large."""
 
     code, title = "audio_non_finite", "Non-finite samples"
+
+
+class DecodingFailed(AudioError):
+    """The recording crashed its decoder, or kept it from ever getting on."""
+
+    code, title = "decoding_failed", "Decoding failed"
 
 
 class ChannelMismatch(AudioError):
@@ -360,13 +369,6 @@ class TooManySessions(StreamProtocolError):
     code, status, title, close_code = "too_many_sessions", 429, "Too many sessions", 4429
 
 
-class WorkerLost(StreamProtocolError):
-    """The process that computed a stream ended."""
-
-    code, status, title, retryable = "worker_lost", 503, "Worker lost", True
-    close_code = 1011
-
-
 class BundleError(DoaError):
     """A model bundle cannot be used."""
 
@@ -397,6 +399,12 @@ class SelfTestFailed(BundleError):
     code, title = "self_test_failed", "Model self-test failed"
 
 
+class ReloadRefused(BundleError):
+    """The bundles on disk cannot be used; those that were loaded go on serving."""
+
+    code, status, title = "reload_refused", 409, "Reload refused"
+
+
 class CapacityError(DoaError):
     """The service is full; the same request may pass later."""
 
@@ -410,6 +418,12 @@ class Overloaded(CapacityError):
     code, title = "overloaded", "Overloaded"
 
 
+class DiskFull(CapacityError):
+    """What a client sent cannot be stored: the disk is full or refuses to be written."""
+
+    code, title = "disk_full", "Disk full"
+
+
 class NotReady(CapacityError):
     """The models are not loaded yet."""
 
@@ -421,3 +435,10 @@ class Draining(CapacityError):
 
     code, title = "draining", "Shutting down"
     close_code = 1012
+
+
+class WorkerLost(CapacityError):
+    """The process that computed a stream or localized a recording ended."""
+
+    code, title = "worker_lost", "Worker lost"
+    close_code = 1011

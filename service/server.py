@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import signal
 import socket
 from collections.abc import Callable
 from contextlib import suppress
@@ -14,6 +15,8 @@ from fastapi import FastAPI
 from service.api.hosts import is_loopback
 from service.api.state import ServiceState
 from service.app import create_app
+from service.errors import ReloadRefused
+from service.logs import configure_logging, server_log_level
 from service.settings import Settings
 from service.startup import load_registry
 
@@ -40,16 +43,31 @@ class Server(uvicorn.Server):
         super().__init__(config)
         self._state = state
         self._announce = announce
+        self._reloads: set[asyncio.Task[None]] = set()
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        await self._state.stream_workers.start()
+        await self._state.load()
+        await self._state.start_workers()
         await super().startup(sockets)
+        with suppress(NotImplementedError, ValueError, RuntimeError):  # no signals there
+            asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, self._hang_up)
         if self._announce and self.started:
             host, port = self.servers[0].sockets[0].getsockname()[:2]
             self._announce(f"http://{f'[{host}]' if ':' in host else host}:{port}")
 
+    def _hang_up(self) -> None:
+        """SIGHUP: read the models again, as daemons read their configuration."""
+
+        async def reload() -> None:
+            with suppress(ReloadRefused):  # it was logged
+                await self._state.reload()
+
+        task = asyncio.get_running_loop().create_task(reload())
+        self._reloads.add(task)
+        task.add_done_callback(self._reloads.discard)
+
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        asyncio.get_running_loop().call_later(GRACE, self._state.workers.stop)
+        asyncio.get_running_loop().call_later(GRACE, self._state.recording_workers.drain)
         # uvicorn would cut the sockets before the application hears of it.
         self._state.streams.drain()
         with suppress(TimeoutError):
@@ -66,6 +84,7 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
     BundleError, ConfigError
         If the bundles cannot be loaded: nothing listens then.
     """
+    configure_logging(settings)
     warn_if_open(settings)
     app = create_app(settings, load_registry(settings))
     Server(server_config(app, settings), app.state.service, announce).run()
@@ -83,19 +102,27 @@ def warn_if_open(settings: Settings) -> None:
         )
 
 
-def quiet_refusals(record: logging.LogRecord) -> bool:
-    """uvicorn takes a handshake that was refused with a response for one that was forgotten."""
-    return "returned without completing handshake" not in record.getMessage()
+def worth_a_line(record: logging.LogRecord) -> bool:
+    """Whether uvicorn's line is worth one; the application logs requests and streams itself.
+
+    uvicorn takes a handshake that was refused with a response for one that was forgotten, and
+    shows handshakes with their query.
+    """
+    return not str(record.msg).startswith(
+        ('%s - "WebSocket ', "connection ", "ASGI callable returned without completing handshake")
+    )
 
 
 def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
     """How uvicorn runs the application."""
-    logging.getLogger("uvicorn.error").addFilter(quiet_refusals)
+    logging.getLogger("uvicorn.error").addFilter(worth_a_line)
     return uvicorn.Config(
         app,
         host=settings.host,
         port=settings.port,
-        log_level=settings.log_level,
+        log_config=None,
+        log_level=server_log_level(settings),
+        access_log=False,
         server_header=False,
         timeout_graceful_shutdown=GRACE + FAREWELL,
         ws="websockets-sansio",

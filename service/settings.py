@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
@@ -24,6 +25,7 @@ KEY_VARIABLE = f"{PREFIX}KEY"
 """Holds the key that a client sends; no setting of the service"""
 
 LogLevel = Literal["critical", "error", "warning", "info", "debug"]
+LogFormat = Literal["text", "json"]
 
 
 def usable_cpus() -> int:
@@ -65,6 +67,8 @@ class Settings(BaseSettings):
     """onnxruntime threads of each worker"""
     queue: int = Field(16, ge=0, le=10_000)
     """Requests that may wait for a worker; further ones get 503"""
+    stall_timeout: float = Field(60.0, ge=1, le=3600)
+    """Seconds without progress after which the worker of a recording is ended"""
     max_upload_bytes: int = Field(512 * 2**20, ge=1024)
     """Largest request body in bytes"""
     max_seconds: float = Field(3600.0, gt=0, le=86_400)
@@ -95,6 +99,10 @@ class Settings(BaseSettings):
     """Folder in which noise profiles outlive the process; None keeps them in memory"""
     log_level: LogLevel = "info"
     """Least severe messages that are logged"""
+    log_format: LogFormat = "text"
+    """How they are written: text for people, or one JSON object a line"""
+    traces: str | None = None
+    """OTLP/HTTP endpoint that gets traces, as http://collector:4318; needs the extra otel"""
 
     @field_validator("models", mode="before")
     @classmethod
@@ -107,6 +115,13 @@ class Settings(BaseSettings):
         if not isinstance(value, str):
             return value
         return tuple(part.strip() for part in value.split(",") if part.strip())
+
+    @field_validator("traces")
+    @classmethod
+    def _check_endpoint(cls, value: str | None) -> str | None:
+        if value is not None and not re.fullmatch(r"https?://[^/\s]\S*", value):
+            raise ValueError("must be an address as http://collector:4318")
+        return value
 
 
 def load_settings(**overrides: Any) -> Settings:
@@ -177,5 +192,7 @@ def _sentence(error: ErrorDetails) -> str:
     if error["type"] == "extra_forbidden":
         return f"unknown setting {name}: {_closest(name, str)}"
     rule = _RULES.get(error["type"])
-    said = rule.format(**error.get("ctx", {})) if rule else error["msg"]
+    said = (
+        rule.format(**error.get("ctx", {})) if rule else error["msg"].removeprefix("Value error, ")
+    )
     return f"{name} {said}, but is {error['input']!r} (flag or {variable(name)})"

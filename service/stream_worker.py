@@ -1,64 +1,27 @@
-"""A worker process: streams' work comes in over a socket, what came of it goes out.
+"""A worker process that computes streams: work comes in over a socket, what came of it goes out.
 
-The service starts it as ``python -m service.stream_worker FD``. It ends when the socket does, so
-that it never outlives the service, and leaves signals to it.
+The service starts it as ``python -m service.stream_worker FD``.
 """
 
 from __future__ import annotations
 
-import pickle
-import signal
-import socket
-import struct
-import sys
 import threading
 import time
 from queue import SimpleQueue
-from typing import Any
 
+from service.inference.registry import BundleRegistry
 from service.settings import Settings
-from service.startup import load_registry, warm_up
+from service.startup import warm_up
 from service.streaming.host import StreamHost
-from service.streaming.work import Check, Work
+from service.streaming.work import Check, Outcome, Work
+from service.worker_link import READY, Link, run_worker
 
-HEADER = struct.Struct("<I")
-READY = "ready"
 CHECK_DUTY = 0.03
 """Share of the time that looks at channels may take: a tenth of a second slows the results of all
 streams of this worker, so with many streams they take turns"""
 
-
-def packed(message: object) -> bytes:
-    """A message with its length before it; both ends are this program."""
-    data = pickle.dumps(message, protocol=5)
-    return HEADER.pack(len(data)) + data
-
-
-class Link:
-    """The worker's end of the socket."""
-
-    def __init__(self, connection: socket.socket) -> None:
-        self._connection = connection
-        self._lock = threading.Lock()
-
-    def send(self, message: object) -> None:
-        """Send one message; safe to call from several threads."""
-        with self._lock:
-            self._connection.sendall(packed(message))
-
-    def receive(self) -> Any:
-        """The next message; EOFError once the service is gone."""
-        (length,) = HEADER.unpack(self._exactly(HEADER.size))
-        return pickle.loads(self._exactly(length))
-
-    def _exactly(self, count: int) -> bytes:
-        data = bytearray()
-        while len(data) < count:
-            piece = self._connection.recv(count - len(data))
-            if not piece:
-                raise EOFError
-            data += piece
-        return bytes(data)
+Done = tuple[int, Outcome | None, float]
+"""What goes back: the work's number, what came of it, the seconds that it took"""
 
 
 def work_until_end(link: Link, host: StreamHost) -> None:
@@ -70,9 +33,10 @@ def work_until_end(link: Link, host: StreamHost) -> None:
         if isinstance(work, Check):
             checks.put((number, work))
             continue
+        began = time.monotonic()
         outcome = host.perform(work)
         if outcome is not None:
-            link.send((number, outcome))
+            link.send((number, outcome, time.monotonic() - began))
 
 
 def _received(link: Link) -> tuple[int, Work]:
@@ -85,28 +49,20 @@ def _check_forever(link: Link, host: StreamHost, checks: SimpleQueue[tuple[int, 
         number, check = checks.get()
         began = time.monotonic()
         outcome = host.perform(check)
+        seconds = time.monotonic() - began
         try:
-            link.send((number, outcome))
+            link.send((number, outcome, seconds))
         except OSError:
             return
-        time.sleep((time.monotonic() - began) * (1 / CHECK_DUTY - 1))
+        time.sleep(seconds * (1 / CHECK_DUTY - 1))
 
 
-def main() -> None:
-    """Serve the socket whose file descriptor is the argument."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
-    with socket.socket(fileno=int(sys.argv[1])) as connection:
-        link = Link(connection)
-        try:
-            settings: Settings = link.receive()
-            registry = load_registry(settings)
-            warm_up(registry)
-            link.send((0, READY))
-            work_until_end(link, StreamHost(registry))
-        except (EOFError, OSError):
-            pass
+def serve(link: Link, settings: Settings, registry: BundleRegistry) -> None:
+    """Compute streams until the service ends."""
+    warm_up(registry)
+    link.send((0, READY, 0.0))
+    work_until_end(link, StreamHost(registry))
 
 
 if __name__ == "__main__":
-    main()
+    run_worker(serve)

@@ -10,7 +10,6 @@ from fastapi import APIRouter, HTTPException, Request
 from service.api.problems import MEDIA_TYPE, problem_responses
 from service.api.schemas import (
     ArraysAnswer,
-    BundleAnswer,
     ModelCardAnswer,
     ModelsAnswer,
     PresetAnswer,
@@ -32,8 +31,7 @@ NOT_FOUND: dict[int | str, dict[str, Any]] = {
 @router.get("/models", summary="List the models", responses=problem_responses(NotReady))
 async def models(request: Request) -> ModelsAnswer:
     """The loaded model bundles with their hashes and scores."""
-    bundles = state_of(request).models().bundles
-    return ModelsAnswer(models=[BundleAnswer.of(b, default=b is bundles[0]) for b in bundles])
+    return ModelsAnswer.of(state_of(request).models().bundles)
 
 
 @router.get(

@@ -8,6 +8,8 @@ from service.api.options import OPTIONS, Option
 from service.errors import (
     AudioTooLong,
     ChannelMismatch,
+    DecodingFailed,
+    DiskFull,
     DoaError,
     Draining,
     EmptyAudio,
@@ -32,6 +34,7 @@ from service.errors import (
     UnsupportedSampleRate,
     UploadError,
     UploadTooLarge,
+    WorkerLost,
 )
 
 LOCALIZE_ERRORS: tuple[type[DoaError], ...] = (
@@ -43,6 +46,7 @@ LOCALIZE_ERRORS: tuple[type[DoaError], ...] = (
     EmptyAudio,
     TruncatedAudio,
     NonFiniteAudio,
+    DecodingFailed,
     AudioTooLong,
     TooManyChannels,
     UnsupportedSampleRate,
@@ -58,8 +62,10 @@ LOCALIZE_ERRORS: tuple[type[DoaError], ...] = (
     NoiseMismatch,
     TooManySources,
     Overloaded,
+    DiskFull,
     NotReady,
     Draining,
+    WorkerLost,
     DoaError,
 )
 

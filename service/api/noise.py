@@ -16,6 +16,7 @@ from service.api.problems import problem_responses
 from service.api.schemas import Answer
 from service.api.state import state_of
 from service.errors import (
+    DiskFull,
     InvalidOption,
     NoiseProfileInvalid,
     NoiseStoreFull,
@@ -91,7 +92,9 @@ async def get_noise(request: Request, name: Name) -> Response:
 @router.put(
     "/noise/{name}",
     summary="Store a noise profile",
-    responses=problem_responses(InvalidOption, NoiseProfileInvalid, NoiseStoreFull, UploadTooLarge),
+    responses=problem_responses(
+        InvalidOption, NoiseProfileInvalid, NoiseStoreFull, UploadTooLarge, DiskFull
+    ),
     openapi_extra={"requestBody": {"required": True, "content": {MEDIA_TYPE: BINARY}}},
 )
 async def put_noise(request: Request, name: Name) -> NoiseAnswer:
@@ -107,7 +110,11 @@ async def put_noise(request: Request, name: Name) -> NoiseAnswer:
         file.seek(0)
 
         def keep() -> StoredNoise:
-            return state.noise.put(name, load_noise(file))  # type: ignore[arg-type]
+            noise = load_noise(file)  # type: ignore[arg-type]
+            try:
+                return state.noise.put(name, noise)
+            except OSError as error:
+                raise DiskFull("there is no room to store the profile: try again later") from error
 
         return NoiseAnswer.of(await anyio.to_thread.run_sync(keep, limiter=state.noise_checks))
 

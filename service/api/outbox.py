@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
+from typing import NamedTuple
 
 from service.protocol.server_messages import Result, ServerMessage
 
@@ -13,18 +14,27 @@ MAX_WAITING = 1024
 """Messages of any kind; a client that asks faster than it reads loses the oldest"""
 
 
+class Waiting(NamedTuple):
+    """One message that waits."""
+
+    text: str
+    droppable: bool
+    arrived: float | None = None
+    """When the last of a result's audio came, seconds"""
+
+
 class Outbox:
     """A queue of texts between the session and the WebSocket's writer."""
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[str, bool]] = deque()
+        self._waiting: deque[Waiting] = deque()
         self._droppable = 0
         self._event = asyncio.Event()
         self._closed = False
 
-    def put(self, text: str, *, droppable: bool) -> int:
+    def put(self, text: str, *, droppable: bool, arrived: float | None = None) -> int:
         """Add a message; how many old results were dropped for it."""
-        self._waiting.append((text, droppable))
+        self._waiting.append(Waiting(text, droppable, arrived))
         self._droppable += droppable
         self._event.set()
         dropped = 0
@@ -32,7 +42,7 @@ class Outbox:
             self._remove_oldest()
             dropped = 1
         if len(self._waiting) > MAX_WAITING:
-            self._droppable -= self._waiting.popleft()[1]
+            self._droppable -= self._waiting.popleft().droppable
         return dropped
 
     def close(self) -> None:
@@ -40,20 +50,20 @@ class Outbox:
         self._closed = True
         self._event.set()
 
-    async def get(self) -> str | None:
+    async def get(self) -> Waiting | None:
         """The next message; None once closed and empty."""
         while not self._waiting:
             if self._closed:
                 return None
             self._event.clear()
             await self._event.wait()
-        text, droppable = self._waiting.popleft()
-        self._droppable -= droppable
-        return text
+        message = self._waiting.popleft()
+        self._droppable -= message.droppable
+        return message
 
     def _remove_oldest(self) -> None:
-        for index, (_, droppable) in enumerate(self._waiting):
-            if droppable:
+        for index, message in enumerate(self._waiting):
+            if message.droppable:
                 del self._waiting[index]
                 self._droppable -= 1
                 return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping
 from http import HTTPStatus
@@ -13,14 +14,17 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
+from starlette.types import Receive, Scope, Send
 
-from service.errors import DoaError, InvalidOption, RoleMissing, Unauthorized
+from service.api.requests import PROBLEM
+from service.errors import UNEXPECTED, DoaError, InvalidOption, RoleMissing, Unauthorized
+
+log = logging.getLogger(__name__)
 
 MEDIA_TYPE = "application/problem+json"
 TYPE_PREFIX = "urn:neuralmusic:problem:"
 RETRY_AFTER = 2
 """Seconds; a worker localizes minutes of audio in that time"""
-UNEXPECTED = "the service failed on this request; its log says why: please report it"
 
 
 class Problem(BaseModel):
@@ -46,9 +50,25 @@ class Problem(BaseModel):
     """For programs; never changes its meaning"""
 
 
+class ProblemResponse(JSONResponse):
+    """A problem; whoever watches the requests finds its code in the scope."""
+
+    media_type = MEDIA_TYPE
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        scope[PROBLEM] = self.code
+        await super().__call__(scope, receive, send)
+
+    def __init__(
+        self, code: str, status: int, title: str, detail: str, headers: Mapping[str, str] | None
+    ) -> None:
+        self.code = code
+        super().__init__(_fields(code, status, title, detail), status, headers)
+
+
 def problem_response(error: DoaError) -> Response:
     """The response that an error becomes."""
-    return _response(error.code, error.status, error.title, error.detail, _headers(error))
+    return ProblemResponse(error.code, error.status, error.title, error.detail, _headers(error))
 
 
 def problem_responses(*errors: type[DoaError]) -> dict[int | str, dict[str, Any]]:
@@ -86,6 +106,8 @@ def install_problem_handlers(app: FastAPI) -> None:
 
 async def _on_doa_error(request: Request, error: Exception) -> Response:
     assert isinstance(error, DoaError)
+    if error.status >= HTTPStatus.INTERNAL_SERVER_ERROR and not error.retryable:
+        log.error("%s: %s", error.code, error.detail, exc_info=error)
     return problem_response(error)
 
 
@@ -101,7 +123,7 @@ async def _on_http_exception(request: Request, error: Exception) -> Response:
         code, title = "method_not_allowed", "Method not allowed"
         allowed = (error.headers or {}).get("Allow", "another method")
         detail = f"{path} takes {allowed}, not {request.method}"
-    return _response(code, status, title, detail, error.headers)
+    return ProblemResponse(code, status, title, detail, error.headers)
 
 
 async def _on_validation_error(request: Request, error: Exception) -> Response:
@@ -150,10 +172,3 @@ def _example(error: type[DoaError]) -> dict[str, Any]:
 def _fields(code: str, status: int, title: str, detail: str) -> dict[str, Any]:
     problem = Problem(type=TYPE_PREFIX + code, title=title, status=status, detail=detail, code=code)
     return problem.model_dump()
-
-
-def _response(
-    code: str, status: int, title: str, detail: str, headers: Mapping[str, str] | None = None
-) -> Response:
-    content = _fields(code, status, title, detail)
-    return JSONResponse(content, status, headers, media_type=MEDIA_TYPE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict
@@ -265,6 +266,10 @@ class ModelsAnswer(Answer):
     """The loaded models."""
 
     models: list[BundleAnswer]
+
+    @classmethod
+    def of(cls, bundles: Sequence[Bundle]) -> Self:
+        return cls(models=[BundleAnswer.of(b, default=b is bundles[0]) for b in bundles])
 
 
 class ArraysAnswer(Answer):

@@ -1,21 +1,30 @@
-"""What the endpoints share: settings, worker threads, loaded models."""
+"""What the endpoints share: settings, worker processes, loaded models, what is counted."""
 
 from __future__ import annotations
 
+import asyncio
+import logging
 from dataclasses import dataclass, field
 
+import anyio.to_thread
 from anyio import CapacityLimiter
 from fastapi import Request
 
+from service.api.recording_workers import RecordingWorkers
 from service.api.stream_workers import StreamWorkers
-from service.api.workers import WorkerPool
 from service.audio import AudioLimits
 from service.auth import Keys
-from service.errors import Draining, NotReady
+from service.errors import DoaError, Draining, NotReady, ReloadRefused
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
+from service.metrics import Gauges, Metrics
 from service.settings import Settings
+from service.startup import load_registry
 from service.streaming.registry import SessionRegistry
+from service.traces import Traces
+from service.worker_link import Setup
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)
@@ -23,22 +32,108 @@ class ServiceState:
     """One application's state; ``app.state.service`` holds it."""
 
     settings: Settings
-    workers: WorkerPool
+    recording_workers: RecordingWorkers
     streams: SessionRegistry
     stream_workers: StreamWorkers
     registry: BundleRegistry | None = None
     """None until the bundles are loaded and self-tested"""
     noise: NoiseStore = field(default_factory=NoiseStore)
     """Profiles of robots' own noises"""
+    metrics: Metrics = field(default_factory=Metrics)
+    traces: Traces = field(default_factory=Traces)
     noise_checks: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(1))
     """The largest profile takes some hundred megabytes while it is checked"""
     keys: Keys = field(default_factory=Keys)
     """Who may do what"""
+    _reloading: asyncio.Lock = field(default_factory=asyncio.Lock)
+
+    def __post_init__(self) -> None:
+        self.metrics.read_from(self.gauges)
+
+    @classmethod
+    def of(cls, settings: Settings) -> ServiceState:
+        """The state of an application that has loaded nothing yet; ConfigError without extras."""
+        metrics = Metrics()
+        return cls(
+            settings,
+            RecordingWorkers(settings.workers, settings.queue, settings.stall_timeout, metrics),
+            SessionRegistry(settings.max_sessions),
+            StreamWorkers(settings.stream_workers, metrics),
+            noise=NoiseStore(settings.noise_folder),
+            metrics=metrics,
+            traces=Traces(settings.traces),
+            keys=Keys(settings.keys),
+        )
+
+    def gauges(self) -> Gauges:
+        """What a scrape sees of this moment."""
+        bundles = self.registry.bundles if self.registry else ()
+        return Gauges(
+            sessions=self.streams.running,
+            max_sessions=self.streams.max_sessions,
+            uploads=self.recording_workers.admitted,
+            workers={
+                "stream": len(self.stream_workers.pids),
+                "file": len(self.recording_workers.pids),
+            },
+            ready=self.registry is not None and not self.streams.draining,
+            models=tuple(bundle.identity for bundle in bundles),
+        )
 
     @property
     def audio_limits(self) -> AudioLimits:
         settings = self.settings
         return AudioLimits(max_channels=settings.max_channels, max_seconds=settings.max_seconds)
+
+    def install(self, registry: BundleRegistry) -> None:
+        """Serve with these bundles from the start."""
+        self.registry = registry
+        setup = Setup(self.settings, registry.files)
+        self.stream_workers.setup = self.recording_workers.setup = setup
+
+    async def load(self) -> None:
+        """Load the bundles, if they are not there yet; BundleError or ConfigError otherwise."""
+        if self.registry is None:
+            self.install(await anyio.to_thread.run_sync(load_registry, self.settings))
+
+    async def start_workers(self) -> None:
+        """Start a worker of each kind, so that the first client does not wait for it."""
+        await asyncio.gather(self.stream_workers.start(), self.recording_workers.start())
+
+    async def reload(self) -> BundleRegistry:
+        """Read the bundles and the keys again, verify and self-test, and serve with them.
+
+        Running streams and recordings keep the bundles that they began with.
+
+        Raises
+        ------
+        ReloadRefused
+            If they cannot be used; everything is as before then.
+        """
+        async with self._reloading:
+            try:
+                registry = await anyio.to_thread.run_sync(load_registry, self.settings)
+                setup = Setup(self.settings, registry.files)
+                await anyio.to_thread.run_sync(self.keys.reload)
+                await self.stream_workers.renew(setup)
+            except DoaError as error:
+                self.metrics.reloaded(ok=False)
+                log.error("the models were not reloaded: %s", error.detail)
+                raise ReloadRefused(
+                    f"{error.detail}; the models that were loaded go on serving"
+                ) from error
+            await anyio.to_thread.run_sync(self.recording_workers.renew, setup)
+            self.registry = registry
+        self.metrics.reloaded(ok=True)
+        names = ", ".join(f"{b.manifest.name} {b.manifest.version}" for b in registry.bundles)
+        log.info("the models were reloaded: %s", names)
+        return registry
+
+    async def stop(self) -> None:
+        """End all worker processes, send the last traces."""
+        await self.stream_workers.stop()
+        await anyio.to_thread.run_sync(self.recording_workers.stop)
+        await anyio.to_thread.run_sync(self.traces.stop)
 
     def models(self) -> BundleRegistry:
         """The loaded bundles, or NotReady."""

@@ -4,73 +4,75 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import os
 import pickle
-import socket
-import subprocess
-import sys
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from itertools import count
 
+from service.api.worker_process import WorkerProcess
 from service.errors import WorkerLost
-from service.settings import Settings
-from service.stream_worker import HEADER, packed
-from service.streaming.work import Failed, Outcome, Work
+from service.metrics import Metrics
+from service.streaming.work import Check, Failed, Outcome, Work
+from service.worker_link import HEADER, Setup, packed
 
 log = logging.getLogger(__name__)
 
 Done = Callable[[Outcome], None]
+
 ENOUGH = 4
 """Sessions of every worker from which on another one is started: it takes 150 MB and a second"""
-END_S = 5.0
-"""Seconds that a worker has to end before it is killed"""
+STALL_S = 15.0
+"""Seconds without an outcome of work that is due, after which a worker is killed"""
+
+
+@dataclass(slots=True)
+class Waiting:
+    """Work that a worker has not answered."""
+
+    done: Done
+    since: float
+    """Seconds of the loop's clock"""
+    patient: bool
+    """A look at the channels: it takes turns and may take long"""
 
 
 class StreamWorker:
     """One worker process and the socket to it; used on the event loop alone."""
 
-    def __init__(self, settings: Settings) -> None:
-        self._settings = settings
+    def __init__(self, setup: Setup, metrics: Metrics) -> None:
+        self._setup = setup
+        self._metrics = metrics
+        self._loop = asyncio.get_running_loop()
         self._numbers = count(1)
-        self._waiting: dict[int, Done] = {}
-        self._process: subprocess.Popen[bytes] | None = None
+        self._waiting: dict[int, Waiting] = {}
+        self._process: WorkerProcess | None = None
         self._reading: asyncio.Task[None] | None = None
         self._writer: asyncio.StreamWriter | None = None
         self._unsent: list[bytes] = []
+        self._answered = 0.0
         self.sessions = 0
         """That are computed here"""
+        self.retired = False
+        """Takes no more sessions and ends with its last one"""
         self.lost = False
         self.ready = asyncio.Event()
 
     def start(self) -> None:
         """Start the process; work may be submitted at once."""
-        ours, theirs = socket.socketpair()
-        environment = {
-            **os.environ,
-            # One stream's matrices are small: threads of the linear algebra only cost.
-            "OPENBLAS_NUM_THREADS": "1",
-            "OMP_NUM_THREADS": "1",
-            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-        }
-        with theirs:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "service.stream_worker", str(theirs.fileno())],
-                pass_fds=[theirs.fileno()],
-                env=environment,
-            )
-        self._unsent.insert(0, packed(self._settings))
-        self._reading = asyncio.get_running_loop().create_task(self._read(ours))
+        self._process = WorkerProcess("service.stream_worker")
+        self._unsent.insert(0, packed(self._setup))
+        self._reading = self._loop.create_task(self._read(self._process))
 
     def submit(self, work: Work, done: Done | None = None) -> None:
         """Have work done; ``done`` is called with what came of it."""
         number = next(self._numbers)
         if self.lost:
             if done is not None:
-                asyncio.get_running_loop().call_soon(done, _failed())
+                self._loop.call_soon(done, Failed(worker_lost()))
             return
         if done is not None:
-            self._waiting[number] = done
+            self._waiting[number] = Waiting(done, self._loop.time(), isinstance(work, Check))
         message = packed((number, work))
         if self._writer is None:
             self._unsent.append(message)
@@ -82,6 +84,14 @@ class StreamWorker:
         """Of the process, once it was started."""
         return self._process.pid if self._process else None
 
+    def watch(self, now: float) -> None:
+        """Kill a process that has stalled: its streams then end with an error, not in silence."""
+        due = (each.since for each in self._waiting.values() if not each.patient)
+        oldest = max(min(due, default=now), self._answered)
+        if self.ready.is_set() and now - oldest > STALL_S and self._process is not None:
+            log.error("stream worker %s gave no sign for %.0f s: it is killed", self.pid, STALL_S)
+            self._process.kill()
+
     async def stop(self) -> None:
         """End the process."""
         self.lost = True
@@ -90,69 +100,85 @@ class StreamWorker:
         if self._reading is not None:
             await asyncio.gather(self._reading, return_exceptions=True)
 
-    async def _read(self, connection: socket.socket) -> None:
-        reader, self._writer = await asyncio.open_unix_connection(sock=connection)
+    async def _read(self, process: WorkerProcess) -> None:
+        reader, self._writer = await asyncio.open_unix_connection(sock=process.connection)
         self._writer.writelines(self._unsent)
         self._unsent.clear()
         try:
             while not self.lost:
                 (length,) = HEADER.unpack(await reader.readexactly(HEADER.size))
-                number, outcome = pickle.loads(await reader.readexactly(length))
-                if number == 0:
-                    self.ready.set()
-                    continue
-                done = self._waiting.pop(number, None)
-                if done is not None:
-                    done(outcome)
+                self._receive(*pickle.loads(await reader.readexactly(length)))
         except (asyncio.IncompleteReadError, OSError):
             self._lose()
         finally:
             self._writer.close()
             with suppress(OSError):
                 await self._writer.wait_closed()
-            if self._process is not None:
-                await asyncio.to_thread(_end, self._process)
+            await asyncio.to_thread(process.end)
+
+    def _receive(self, number: int, outcome: Outcome, seconds: float) -> None:
+        self._answered = self._loop.time()
+        if number == 0:
+            self.ready.set()
+            return
+        waiting = self._waiting.pop(number, None)
+        if waiting is None:
+            return
+        if not waiting.patient:
+            queued = max(self._answered - waiting.since - seconds, 0.0)
+            self._metrics.worked("stream", queued, seconds)
+        waiting.done(outcome)
 
     def _lose(self) -> None:
         if self.lost:
             return  # it was asked to end
         log.error("stream worker %s ended: its streams are closed, clients connect again", self.pid)
         self.lost = True
+        self._metrics.worker_lost("stream")
         self.ready.set()
-        waiting, self._waiting = self._waiting, {}
-        for done in waiting.values():
-            done(_failed())
+        all_waiting, self._waiting = self._waiting, {}
+        for waiting in all_waiting.values():
+            waiting.done(Failed(worker_lost()))
 
 
-def _failed() -> Failed:
-    return Failed(WorkerLost("the process that computed this stream ended: connect again"))
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """Wait for a process whose socket was closed."""
-    try:
-        process.wait(END_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+def worker_lost() -> WorkerLost:
+    """What a stream whose worker is gone ends with."""
+    return WorkerLost("the process that computed this stream ended: connect again")
 
 
 class StreamWorkers:
-    """The workers of one service; a lost one is replaced when the next stream comes."""
+    """The workers of one service; a lost one is replaced when the next stream comes.
 
-    def __init__(self, settings: Settings) -> None:
-        self._settings = settings
+    Parameters
+    ----------
+    most : int
+        Processes at a time, retired ones aside.
+    metrics : Metrics
+        Told of every work how many seconds it waited and took, and of lost workers.
+    """
+
+    def __init__(self, most: int, metrics: Metrics) -> None:
+        self._most = most
+        self._metrics = metrics
+        self.setup: Setup | None = None
+        """What new workers run with; set before the first one is needed"""
         self._workers: list[StreamWorker] = []
+        self._ending: set[asyncio.Task[None]] = set()
 
     def assign(self) -> StreamWorker:
         """The worker with the fewest sessions; another one is started where all have enough."""
         self._workers = [worker for worker in self._workers if not worker.lost]
-        enough = all(worker.sessions >= ENOUGH for worker in self._workers)
-        if enough and len(self._workers) < self._settings.stream_workers:
-            worker = StreamWorker(self._settings)
-            worker.start()
-            self._workers.append(worker)
-        return min(self._workers, key=lambda each: each.sessions)
+        current = [worker for worker in self._workers if not worker.retired]
+        if len(current) < self._most and all(each.sessions >= ENOUGH for each in current):
+            assert self.setup is not None
+            current.append(self._started(self.setup))
+        return min(current, key=lambda each: each.sessions)
+
+    def release(self, worker: StreamWorker) -> None:
+        """One session of this worker has ended."""
+        worker.sessions -= 1
+        if worker.retired and worker.sessions == 0:
+            self._end(worker)
 
     @property
     def pids(self) -> list[int]:
@@ -163,7 +189,39 @@ class StreamWorkers:
         """Start the first worker and wait until it is ready."""
         await self.assign().ready.wait()
 
+    async def renew(self, setup: Setup) -> None:
+        """Let new sessions go to workers with a new setup; running ones stay where they are.
+
+        Raises
+        ------
+        WorkerLost
+            If no such worker comes up; all is as before then.
+        """
+        old = [worker for worker in self._workers if not worker.retired]
+        worker = self._started(setup)
+        await worker.ready.wait()
+        if worker.lost:
+            raise WorkerLost("a worker process with the new models ended as it started")
+        self.setup = setup
+        for each in old:
+            each.retired = True
+            if each.sessions == 0:
+                self._end(each)
+
     async def stop(self) -> None:
         """End all workers."""
-        await asyncio.gather(*(worker.stop() for worker in self._workers))
+        await asyncio.gather(*(worker.stop() for worker in self._workers), *self._ending)
         self._workers.clear()
+
+    def _started(self, setup: Setup) -> StreamWorker:
+        worker = StreamWorker(setup, self._metrics)
+        worker.start()
+        self._workers.append(worker)
+        return worker
+
+    def _end(self, worker: StreamWorker) -> None:
+        if worker in self._workers:
+            self._workers.remove(worker)
+        task = asyncio.get_running_loop().create_task(worker.stop())
+        self._ending.add(task)
+        task.add_done_callback(self._ending.discard)

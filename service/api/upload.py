@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
-from tempfile import SpooledTemporaryFile
+from tempfile import TemporaryFile
 from typing import BinaryIO
 
 from starlette.datastructures import FormData, UploadFile
@@ -13,17 +13,15 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 
 from service.errors import (
+    DiskFull,
     DoaError,
     InvalidOption,
     MissingAudio,
-    Overloaded,
     UnsupportedMediaType,
     UploadError,
 )
 
 FIELD = "audio"
-SPOOL_BYTES = 2**20
-"""A body up to this size stays in memory"""
 MAX_FIELDS = 32
 MAX_FILES = 4
 MAX_FIELD_BYTES = 64 * 2**10
@@ -51,14 +49,19 @@ async def read_upload(request: Request) -> AsyncIterator[Upload]:
         If there is no recording in it.
     UploadTooLarge
         From the body limit, while the body is read.
+    DiskFull
+        If it cannot be stored.
     """
     is_form = _media_type(request) == "multipart/form-data"
     async with AsyncExitStack() as stack:
         try:
             body = _form(request) if is_form else _raw(request)
             upload, size = await stack.enter_async_context(body)
+            # A worker process gets the descriptor of a real file, which has no name.
+            upload.file.fileno()
+            upload.file.flush()
         except OSError as error:
-            raise Overloaded("there is no room to store the upload: try again later") from error
+            raise DiskFull("there is no room to store the upload: try again later") from error
         if not size:
             raise MissingAudio(f"the recording is empty (0 bytes): {HOW}")
         yield upload
@@ -102,8 +105,8 @@ async def _form(request: Request) -> AsyncIterator[tuple[Upload, int]]:
 @asynccontextmanager
 async def _raw(request: Request) -> AsyncIterator[tuple[Upload, int]]:
     """The whole body as the recording, with its size in bytes."""
-    with SpooledTemporaryFile(SPOOL_BYTES) as file:
-        spooled = UploadFile(file, size=0)  # type: ignore[arg-type]
+    with TemporaryFile() as file:
+        spooled = UploadFile(file, size=0)
         async for chunk in request.stream():
             await spooled.write(chunk)
         await spooled.seek(0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -35,13 +36,26 @@ MAX_FILE_BYTES = 256 * 2**20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bundle:
-    """A loaded bundle; one instance serves all arrays and threads."""
+class BundleFiles:
+    """A bundle's verified files in memory; it can be pickled, so a worker runs the very same.
+
+    What was hashed is what runs: a folder that changes meanwhile changes nothing.
+    """
 
     folder: Path
+    """Where they were read"""
     manifest: Manifest
     sha256: str
     """Of bundle.json, which holds the hashes of all other files"""
+    content: Mapping[str, bytes]
+    """By file name; without the parameters for fine-tuning, which the service never uses"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bundle:
+    """A loaded bundle; one instance serves all arrays and threads."""
+
+    files: BundleFiles
     covariance: Engine
     source_count: Engine
     fusion: Mapping[str, FloatArray]
@@ -49,6 +63,18 @@ class Bundle:
     covariance_stream: Engine | None = None
     card: str | None = None
     """The model card, Markdown"""
+
+    @property
+    def folder(self) -> Path:
+        return self.files.folder
+
+    @property
+    def manifest(self) -> Manifest:
+        return self.files.manifest
+
+    @property
+    def sha256(self) -> str:
+        return self.files.sha256
 
     @property
     def identity(self) -> ModelIdentity:
@@ -78,6 +104,17 @@ def load_bundle(folder: Path, *, threads: int = 1) -> Bundle:
 
     Raises
     ------
+    BundleNotFound, BundleIncompatible, BundleCorrupt
+        As ``read_bundle`` and ``open_bundle``.
+    """
+    return open_bundle(read_bundle(folder), threads=threads)
+
+
+def read_bundle(folder: Path) -> BundleFiles:
+    """Read a bundle's files and verify their hashes.
+
+    Raises
+    ------
     BundleNotFound
         If the folder holds no ``bundle.json``.
     BundleIncompatible
@@ -87,20 +124,30 @@ def load_bundle(folder: Path, *, threads: int = 1) -> Bundle:
     """
     manifest, digest = read_manifest(folder)
     named = set(manifest.files) | ({COVARIANCE_STREAM} if manifest.covariance_stream else set())
-    for name in (*FILES, *(name for name in OPTIONAL_FILES if name in named)):
-        _verify(folder, name, manifest.files.get(name))
+    wanted = (*FILES, *(name for name in OPTIONAL_FILES if name in named))
+    content = {name: _verified(folder, name, manifest.files.get(name)) for name in wanted}
+    content.pop(PARAMETERS, None)
+    return BundleFiles(folder, manifest, digest, content)
+
+
+def open_bundle(files: BundleFiles, *, threads: int = 1) -> Bundle:
+    """Start a bundle's onnxruntime sessions.
+
+    Raises
+    ------
+    BundleCorrupt
+        If a graph or an array cannot be read, or is not what the manifest says.
+    """
+    manifest = files.manifest
+    stream = manifest.covariance_stream
     return Bundle(
-        folder=folder,
-        manifest=manifest,
-        sha256=digest,
-        covariance=_engine(folder / COVARIANCE, manifest.covariance, threads),
-        source_count=_engine(folder / SOURCE_COUNT, manifest.source_count, threads),
-        fusion=read_arrays(folder / FUSION),
-        golden=read_arrays(folder / GOLDEN),
-        covariance_stream=_engine(folder / COVARIANCE_STREAM, manifest.covariance_stream, threads)
-        if manifest.covariance_stream
-        else None,
-        card=_text(folder / CARD) if CARD in manifest.files else None,
+        files=files,
+        covariance=_engine(files, COVARIANCE, manifest.covariance, threads),
+        source_count=_engine(files, SOURCE_COUNT, manifest.source_count, threads),
+        fusion=_arrays(files, FUSION),
+        golden=_arrays(files, GOLDEN),
+        covariance_stream=_engine(files, COVARIANCE_STREAM, stream, threads) if stream else None,
+        card=_text(files, CARD) if CARD in files.content else None,
     )
 
 
@@ -135,38 +182,49 @@ def file_sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _verify(folder: Path, name: str, expected: str | None) -> None:
+def _verified(folder: Path, name: str, expected: str | None) -> bytes:
+    """The content of a file that has the hash."""
     path = folder / name
     if expected is None or not path.is_file():
         raise BundleCorrupt(f"{folder} lacks {name}: copy the whole bundle again")
-    if path.stat().st_size > MAX_FILE_BYTES:
+    try:
+        with path.open("rb") as file:
+            content = file.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise BundleCorrupt(f"{path} cannot be read: {error}") from error
+    if len(content) > MAX_FILE_BYTES:
         raise BundleCorrupt(f"{path} is larger than {MAX_FILE_BYTES} bytes")
-    if file_sha256(path) != expected:
+    if hashlib.sha256(content).hexdigest() != expected:
         raise BundleCorrupt(f"{path} differs from its hash in {MANIFEST}: copy the bundle again")
+    return content
 
 
-def _engine(path: Path, graph: Graph, threads: int) -> Engine:
-    engine = Engine(path, threads=threads)
+def _engine(files: BundleFiles, name: str, graph: Graph, threads: int) -> Engine:
+    engine = Engine(files.content[name], name, threads=threads)
     inputs, outputs = [t.name for t in graph.inputs], [t.name for t in graph.outputs]
     if engine.inputs != inputs or engine.outputs != outputs:
         raise BundleCorrupt(
-            f"{path} takes {engine.inputs} and gives {engine.outputs}, but {MANIFEST} says "
-            f"{inputs} and {outputs}"
+            f"{files.folder / name} takes {engine.inputs} and gives {engine.outputs}, but "
+            f"{MANIFEST} says {inputs} and {outputs}"
         )
     return engine
 
 
-def read_arrays(path: Path) -> dict[str, FloatArray]:
+def _arrays(files: BundleFiles, name: str) -> dict[str, FloatArray]:
+    return read_arrays(files.content[name], files.folder / name)
+
+
+def read_arrays(content: bytes, path: Path) -> dict[str, FloatArray]:
     """The arrays of one of a bundle's npz files by their names, or BundleCorrupt; no pickle."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
     except (OSError, ValueError) as error:
         raise BundleCorrupt(f"{path} cannot be read: {error}") from error
 
 
-def _text(path: Path) -> str:
+def _text(files: BundleFiles, name: str) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return files.content[name].decode("utf-8")
     except ValueError as error:
-        raise BundleCorrupt(f"{path} is not text: {error}") from error
+        raise BundleCorrupt(f"{files.folder / name} is not text: {error}") from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import onnxruntime as ort
@@ -15,11 +14,19 @@ from service.errors import BundleCorrupt
 class Engine:
     """One ONNX graph with a fixed thread count; safe to call from several threads.
 
+    Parameters
+    ----------
+    content : bytes
+        Of the ONNX file.
+    name : str
+        Of the file, for errors.
+    threads : int
+
     onnxruntime would size its pool by the host's cores, which is ruinous in a limited container,
     and would spin while idle, which a robot's other programs pay for.
     """
 
-    def __init__(self, path: Path, *, threads: int = 1) -> None:
+    def __init__(self, content: bytes, name: str, *, threads: int = 1) -> None:
         options = ort.SessionOptions()
         options.intra_op_num_threads = threads
         options.inter_op_num_threads = 1
@@ -29,11 +36,11 @@ class Engine:
         options.enable_cpu_mem_arena = False
         try:
             self._session = ort.InferenceSession(
-                path.read_bytes(), options, providers=["CPUExecutionProvider"]
+                content, options, providers=["CPUExecutionProvider"]
             )
         except Exception as error:  # onnxruntime's exceptions share no public base
             raise BundleCorrupt(
-                f"{path.name} is no ONNX graph that onnxruntime loads: {error}"
+                f"{name} is no ONNX graph that onnxruntime loads: {error}"
             ) from error
         self.inputs = [node.name for node in self._session.get_inputs()]
         self.outputs = [node.name for node in self._session.get_outputs()]

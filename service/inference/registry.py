@@ -9,7 +9,7 @@ import numpy as np
 
 from service.doa.array import MicrophoneArray
 from service.errors import BundleCorrupt, GeometryMismatch, SelfTestFailed, UnknownModel
-from service.inference.bundle import MANIFEST, Bundle, load_bundle
+from service.inference.bundle import MANIFEST, Bundle, BundleFiles, load_bundle, open_bundle
 from service.inference.localizer import localizer_of
 
 EMBEDDED_MODELS = Path(__file__).parent.parent / "models"
@@ -65,6 +65,16 @@ class BundleRegistry:
             return registry
         preferred = registry.get(default)
         return cls([preferred, *(bundle for bundle in bundles if bundle is not preferred)])
+
+    @classmethod
+    def of_files(cls, files: Sequence[BundleFiles], *, threads: int = 1) -> BundleRegistry:
+        """The bundles of another process' registry, which has verified and self-tested them."""
+        return cls([open_bundle(each, threads=threads) for each in files])
+
+    @property
+    def files(self) -> tuple[BundleFiles, ...]:
+        """All bundles as another process can open them, in the same order."""
+        return tuple(bundle.files for bundle in self.bundles)
 
     def get(self, name: str) -> Bundle:
         """The bundle of this name, or UnknownModel."""

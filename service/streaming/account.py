@@ -14,6 +14,8 @@ from service.streaming.pipeline import Estimate
 HISTORY = 6000
 """Results that can be exported: ten minutes at 10 Hz"""
 MAX_TRACKS = 256
+LONGEST_LAG_MS = 10_000
+"""Longer ones are told apart no more"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,14 +62,20 @@ class Account:
     warnings: Counter[str] = field(default_factory=Counter)
     history: deque[HistoryEntry] = field(default_factory=lambda: deque(maxlen=HISTORY))
     _heard: dict[int, _Heard] = field(default_factory=dict)
+    most_lag_ms: float = 0.0
+    """Of all results"""
     _lags: list[float] = field(default_factory=list)
+    _lag_counts: Counter[int] = field(default_factory=Counter)
+    """Results by their lag in whole milliseconds, up to ``LONGEST_LAG_MS``"""
 
     def add(self, estimate: Estimate, orientation: Orientation, lag_ms: float) -> None:
         """Take in one result."""
         step = estimate.t_end - self.t_end
         self.results += 1
         self.lag_ms, self.t_end = lag_ms, estimate.t_end
+        self.most_lag_ms = max(self.most_lag_ms, lag_ms)
         self._lags.append(lag_ms)
+        self._lag_counts[min(round(lag_ms), LONGEST_LAG_MS)] += 1
         points = tuple(
             Point(
                 track.id,
@@ -93,6 +101,15 @@ class Account:
         """Mean lag of the results since the last call."""
         lags, self._lags = self._lags, []
         return round(sum(lags) / len(lags), 1) if lags else 0.0
+
+    def median_lag_ms(self) -> int:
+        """Median lag of all results; 0 before the first."""
+        passed = 0
+        for lag, count in sorted(self._lag_counts.items()):
+            passed += count
+            if 2 * passed >= self.results:
+                return lag
+        return 0
 
     def tracks(self) -> Iterator[TrackSummary]:
         """The sources, longest heard first."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from service.errors import DoaError
+from service.errors import UNEXPECTED, DoaError
 from service.inference.registry import BundleRegistry
 from service.streaming.opening import open_stream
 from service.streaming.pipeline import StreamPipeline
@@ -22,8 +22,6 @@ from service.streaming.work import (
 )
 
 log = logging.getLogger(__name__)
-
-UNEXPECTED = "the service failed on this stream; its log says why: please report it"
 
 
 class StreamHost:
@@ -50,7 +48,7 @@ class StreamHost:
         except DoaError as error:
             return Failed(error)
         except Exception:
-            log.exception("session %s failed", work.session)
+            log.exception("the stream failed", extra={"session_id": work.session})
             return Failed(DoaError(UNEXPECTED))
 
     def _open(self, work: Open) -> Opened:

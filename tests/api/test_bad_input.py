@@ -254,16 +254,6 @@ def test_a_body_without_a_length_is_counted(client: Any) -> None:
     assert_problem(response, 413, "upload_too_large", "2097152 bytes")
 
 
-def test_too_many_windows_are_refused(localize: Any, sounds: Any, monkeypatch: Any) -> None:
-    monkeypatch.setattr("service.api.localize.MAX_WINDOWS", 3)
-    monkeypatch.setattr("service.api.localize.MAX_SPECTRUM_WINDOWS", 2)
-    body = sounds.wav(seconds=1.0)
-    assert_problem(localize.raw(body, hop_s=0.3), 422, "option_invalid", "take hop_s=0.33 or more")
-    refused = localize.raw(body, hop_s=0.4, spectrum=1)
-    assert_problem(refused, 422, "option_invalid", "at most 2 with spectra")
-    assert localize.raw(body, hop_s=0.4, method="music").status_code == 200
-
-
 @pytest.mark.parametrize(
     ("method", "path", "status", "code", "says"),
     [

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import errno
-import threading
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from tempfile import SpooledTemporaryFile
 from typing import Any
 
@@ -16,7 +12,7 @@ from fastapi.testclient import TestClient
 
 from service import __version__
 from service.app import create_app
-from service.errors import BundleNotFound, ConfigError
+from service.errors import ConfigError
 from service.inference.registry import BundleRegistry
 from service.settings import Settings
 
@@ -27,87 +23,6 @@ HEADERS = {"Content-Type": "audio/wav"}
 
 def small_app(**settings: Any) -> Any:
     return create_app(Settings(**settings), BundleRegistry(()))
-
-
-class Gate:
-    """Stands in for localization: says when it is entered, and waits to be opened."""
-
-    def __init__(self) -> None:
-        self.entered = threading.Event()
-        self.open = threading.Event()
-
-    def __call__(self, *_: Any) -> Any:
-        self.entered.set()
-        assert self.open.wait(PATIENCE)
-        raise BundleNotFound("the gate was opened")
-
-
-@pytest.fixture
-def gate(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gate]:
-    gate = Gate()
-    monkeypatch.setattr("service.api.localize.localize_recording", gate)
-    yield gate
-    gate.open.set()
-
-
-@contextmanager
-def busy(client: TestClient, gate: Gate, body: bytes) -> Iterator[None]:
-    """While a recording is being localized."""
-    with ThreadPoolExecutor(1) as executor:
-        running = executor.submit(
-            client.post, "/localize", params={"array": ARRAY}, content=body, headers=HEADERS
-        )
-        assert gate.entered.wait(PATIENCE)
-        try:
-            yield
-        finally:
-            gate.open.set()
-            running.result(PATIENCE)
-
-
-def test_probes_answer_while_a_recording_is_localized(sounds: Any, gate: Gate) -> None:
-    with TestClient(small_app(workers=1)) as client, busy(client, gate, sounds.wav()):
-        assert client.get("/livez").json() == {"status": "ok"}
-        assert client.get("/readyz").json() == {"status": "ok"}
-
-
-def test_a_full_service_says_when_to_come_back(sounds: Any, gate: Gate) -> None:
-    with TestClient(small_app(workers=1, queue=0)) as client, busy(client, gate, sounds.wav()):
-        refused = client.post("/localize", content=b"not even read", headers=HEADERS)
-        assert refused.status_code == 503
-        assert refused.json()["code"] == "overloaded"
-        assert int(refused.headers["retry-after"]) > 0
-
-
-def test_a_worker_is_free_again_after_a_failure(sounds: Any, gate: Gate) -> None:
-    gate.open.set()
-    with TestClient(small_app(workers=1, queue=0), raise_server_exceptions=False) as client:
-        for _ in range(3):
-            response = client.post(
-                "/localize", params={"array": ARRAY}, content=sounds.wav(), headers=HEADERS
-            )
-            assert response.json()["code"] == "bundle_not_found"
-
-
-def test_a_stopping_service_ends_what_runs_and_refuses_what_comes(
-    sounds: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    app = small_app()
-
-    def localize(recording: Any, options: Any, registry: Any, progress: Any) -> None:
-        app.state.service.workers.stop()
-        progress(0.5)
-        pytest.fail("nothing ended the work")
-
-    monkeypatch.setattr("service.api.localize.localize_recording", localize)
-    with TestClient(app) as client:
-        for _ in range(2):
-            response = client.post(
-                "/localize", params={"array": ARRAY}, content=sounds.wav(), headers=HEADERS
-            )
-            assert response.status_code == 503
-            assert response.json()["code"] == "draining"
-            assert "retry-after" in response.headers
 
 
 def test_the_service_is_alive_but_not_ready_before_its_models_are_loaded() -> None:
@@ -141,6 +56,7 @@ def test_a_full_disk_is_no_server_error(monkeypatch: pytest.MonkeyPatch) -> None
             client.post("/localize", files={"audio": b"RIFF"}),
         ):
             assert response.status_code == 503
+            assert response.json()["code"] == "disk_full"
             assert "no room" in response.json()["detail"]
 
 
@@ -150,7 +66,7 @@ def test_an_unexpected_error_is_a_problem_that_gives_nothing_away(
     def broken(*_: Any) -> None:
         raise ZeroDivisionError("secret")
 
-    monkeypatch.setattr("service.api.localize.localize_recording", broken)
+    monkeypatch.setattr("service.api.localize.read_options", broken)
     with TestClient(small_app(), raise_server_exceptions=False) as client:
         response = client.post(
             "/localize", params={"array": ARRAY}, content=sounds.wav(), headers=HEADERS
@@ -220,6 +136,7 @@ async def drive(app: Any, content_type: str, messages: list[dict[str, Any]]) -> 
 
     with anyio.fail_after(PATIENCE):
         await app(scope, receive, send)
+        await app.state.service.stop()
     return sent
 
 
@@ -232,7 +149,7 @@ def spooled(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         files.append(SpooledTemporaryFile(*args, **kwargs))  # noqa: SIM115 - closing is tested
         return files[-1]
 
-    monkeypatch.setattr("service.api.upload.SpooledTemporaryFile", spool)
+    monkeypatch.setattr("service.api.upload.TemporaryFile", spool)
     monkeypatch.setattr("starlette.formparsers.SpooledTemporaryFile", spool)
     return files
 
@@ -263,21 +180,13 @@ def test_an_upload_over_the_limit_leaves_no_file_behind(spooled: list[Any]) -> N
     assert [file.closed for file in spooled] == [True]
 
 
-def test_a_client_that_hangs_up_frees_its_worker(
-    sounds: Any, spooled: list[Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shares = []
-
-    def localize(recording: Any, options: Any, registry: Any, progress: Any) -> None:
-        for share in (0.1, 0.2):
-            shares.append(share)
-            progress(share)
-
-    monkeypatch.setattr("service.api.localize.localize_recording", localize)
+def test_a_client_that_hangs_up_gets_no_work_done(sounds: Any, spooled: list[Any]) -> None:
     messages: list[dict[str, Any]] = [
         {"type": "http.request", "body": sounds.wav(), "more_body": False},
         {"type": "http.disconnect"},
     ]
-    anyio.run(drive, small_app(), "audio/wav", messages)
-    assert shares == [0.1]
+    app = small_app()
+    sent = anyio.run(drive, app, "audio/wav", messages)
+    assert [message.get("body") for message in sent] == [None, b""]
+    assert app.state.service.recording_workers.admitted == 0
     assert [file.closed for file in spooled] == [True]

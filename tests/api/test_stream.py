@@ -8,8 +8,8 @@ import os
 import signal
 import threading
 import time
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager, suppress
+from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import httpx2
@@ -17,22 +17,12 @@ import numpy as np
 import pytest
 import websockets
 from running_service import RunningService
-from websockets.asyncio.client import ClientConnection, connect
+from websocket_stream import PATIENCE, SECOND, START, end, opened, started, until
 
 from service.api import stream as stream_api
 from service.app import create_app
 from service.inference.registry import BundleRegistry
 from service.settings import Settings
-
-PATIENCE = 30
-"""Seconds until a hanging test fails"""
-START = {
-    "type": "start",
-    "audio": {"encoding": "pcm_s16le", "sample_rate": 16000, "channels": 4},
-    "array": {"name": "respeaker-usb-4mic-v2"},
-    "method": "norm_music",
-}
-SECOND = np.random.default_rng(0).integers(-300, 300, (16000, 4)).astype("<i2").tobytes()
 
 
 @pytest.fixture(scope="module")
@@ -40,39 +30,6 @@ def service() -> Iterator[RunningService]:
     running = RunningService(settings=Settings(workers=1, max_sessions=8, idle_timeout=20))
     yield running
     running.stop()
-
-
-def address(service: RunningService) -> str:
-    return service.url.replace("http", "ws") + "/stream"
-
-
-@asynccontextmanager
-async def opened(service: RunningService, **options: Any) -> AsyncIterator[ClientConnection]:
-    arguments = {"subprotocols": ["doa.v1"], "compression": None, "close_timeout": 1, **options}
-    async with asyncio.timeout(PATIENCE), connect(address(service), **arguments) as socket:
-        yield socket
-
-
-async def started(socket: ClientConnection, **changes: Any) -> dict[str, Any]:
-    await socket.send(json.dumps({**START, **changes}))
-    return await until(socket, "ready")
-
-
-async def until(socket: ClientConnection, kind: str) -> dict[str, Any]:
-    """The next message of a type."""
-    while True:
-        message: dict[str, Any] = json.loads(await socket.recv())
-        if message["type"] == kind:
-            return message
-
-
-async def end(socket: ClientConnection) -> tuple[dict[str, Any], int | None]:
-    """The last message and the close code."""
-    last: dict[str, Any] = {}
-    with suppress(websockets.ConnectionClosedError):  # any code but 1000
-        async for text in socket:
-            last = json.loads(text)
-    return last, socket.close_code
 
 
 def refusal(service: RunningService, **options: Any) -> tuple[int, dict[str, Any], Any]:
@@ -253,6 +210,7 @@ def test_a_client_that_never_reads_is_cut_off(monkeypatch: pytest.MonkeyPatch) -
     asyncio.run(run())
     assert deaf.closed
     assert state.streams.running == 0
+    assert 'sessions_ended_total{reason="timeout"} 1.0' in state.metrics.exposition("")[0].decode()
 
 
 def settle(service: RunningService) -> None:

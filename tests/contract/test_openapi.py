@@ -54,6 +54,7 @@ def test_every_path_of_the_protocol_is_there(document: Any) -> None:
         "/sessions",
         "/sessions/{session_id}/events",
         "/sessions/{session_id}/export",
+        "/admin/reload",
         "/",
     }
 
@@ -89,6 +90,7 @@ def test_every_error_of_storing_noise_is_documented_with_its_status(document: An
         (413, "upload_too_large"),
         (422, "noise_invalid"),
         (422, "option_invalid"),
+        (503, "disk_full"),
     }
 
 

@@ -45,7 +45,7 @@ def features() -> FloatArray:
 def engine(network: WeightsNetwork, tmp_path_factory: pytest.TempPathFactory) -> Engine:
     path = Path(tmp_path_factory.mktemp("stream")) / "stream.onnx"
     export_onnx(stream_graph(network, BINS), path)
-    return Engine(path)
+    return Engine(path.read_bytes(), path.name)
 
 
 @settings(

@@ -76,6 +76,7 @@ def test_a_wrong_variable_is_refused_with_a_sentence(
     ("flags", "sentence"),
     [
         ({"port": -1}, "port must be at least 0, but is -1 (flag or NEURALMUSIC_PORT)"),
+        ({"traces": "collector:4317"}, "traces must be an address as http://collector:4318"),
         ({"prot": 1}, "unknown setting prot: did you mean port?"),
         ({"port": -1, "queue": -1}, "; queue must be at least 0"),
     ],
@@ -90,6 +91,7 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     examples = {"host": "::1", "models": "/m", "default_model": "w", "log_level": "debug"}
+    examples |= {"log_format": "json", "traces": "http://collector:4318"}
     examples |= {"hosts": "robot.local, doa.example", "keys": "/k"}
     examples |= {"noise_folder": "/n", "stream_buffer": "2.5", "origins": "http://a,http://b"}
     for name, field in Settings.model_fields.items():
@@ -107,6 +109,7 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
         "workers": 7,
         "threads": 3,
         "queue": 2048,
+        "stall_timeout": 2048.0,
         "max_upload_bytes": 2048,
         "max_seconds": 2048.0,
         "max_channels": 9,
@@ -121,6 +124,8 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
         "keys": Path("/k"),
         "noise_folder": Path("/n"),
         "log_level": "debug",
+        "log_format": "json",
+        "traces": "http://collector:4318",
     }
 
 

@@ -62,8 +62,8 @@ def test_a_slow_reader_loses_old_results_and_no_warning() -> None:
         outbox.close()
         assert dropped == 100 - MAX_DROPPABLE
         read = []
-        while (text := await outbox.get()) is not None:
-            read.append(text)
+        while (message := await outbox.get()) is not None:
+            read.append(message.text)
         return read
 
     read = asyncio.run(run())

@@ -1,0 +1,28 @@
+"""For whoever runs the service."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Request
+
+from service.api.problems import problem_responses
+from service.api.schemas import ModelsAnswer
+from service.api.state import state_of
+from service.errors import Draining, NotReady, ReloadRefused
+
+router = APIRouter(prefix="/admin", tags=["service"])
+
+
+@router.post(
+    "/reload",
+    summary="Load models and keys again",
+    responses=problem_responses(ReloadRefused, NotReady, Draining),
+)
+async def reload(request: Request) -> ModelsAnswer:
+    """Read bundles and keys again, verify and self-test, and serve with them, as SIGHUP does.
+
+    Running streams and recordings keep the models that they began with. A bundle or a file of keys
+    that cannot be used is refused, and everything stays as it was.
+    """
+    state = state_of(request)
+    state.admit()
+    return ModelsAnswer.of((await state.reload()).bundles)

@@ -1,0 +1,103 @@
+"""One recording to localize: what a worker is given, tells meanwhile, and gives back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import BinaryIO
+
+from service.api.options import LocalizeRequest
+from service.api.schemas import LocalizationAnswer
+from service.audio import AudioLimits, Recording
+from service.errors import DoaError, InvalidOption
+from service.inference.recording import localize_recording
+from service.inference.registry import BundleRegistry
+
+MAX_WINDOWS = 50_000
+"""Of one answer; each holds a spectrum in memory"""
+MAX_SPECTRUM_WINDOWS = 10_000
+"""Of one answer with spectra, which has 360 numbers for every window"""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingJob:
+    """Everything but the recording's file."""
+
+    asked: LocalizeRequest
+    """With the noise profile itself in its options"""
+    limits: AudioLimits
+    request_id: str | None = None
+    """For the log"""
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """The header was read and found good; nothing is decoded yet."""
+
+    duration: float
+    """Seconds"""
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """The share of the recording that is done."""
+
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class Localized:
+    """The answer."""
+
+    body: bytes
+    """JSON"""
+    windows: int
+    seconds: float
+    """That it took"""
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """The recording could not be localized."""
+
+    error: DoaError
+
+
+Report = Opened | Progress
+Outcome = Localized | Refused
+
+
+def localize_file(
+    job: RecordingJob,
+    file: BinaryIO,
+    registry: BundleRegistry,
+    report: Callable[[Report], None],
+) -> tuple[bytes, int]:
+    """The answer's JSON, and its number of windows.
+
+    Raises
+    ------
+    DoaError
+        If the recording or the options cannot be used.
+    """
+    asked = job.asked
+    with Recording.open(file, job.limits) as recording:
+        _check_windows(recording.duration, asked)
+        report(Opened(recording.duration))
+        result = localize_recording(
+            recording, asked.options, registry, lambda share: report(Progress(share))
+        )
+    body = LocalizationAnswer.of(result, spectrum=asked.spectrum).to_json()
+    return body, len(result.windows)
+
+
+def _check_windows(duration: float, asked: LocalizeRequest) -> None:
+    hop = asked.options.hop_s
+    count = int(duration / hop) + 1
+    most = MAX_SPECTRUM_WINDOWS if asked.spectrum else MAX_WINDOWS
+    if count > most:
+        spectra = " with spectra" if asked.spectrum else ""
+        raise InvalidOption(
+            f"{duration:.0f} s at hop_s={hop:g} are {count} windows, one answer has at most "
+            f"{most}{spectra}: take hop_s={duration / most:.2g} or more, or split the recording"
+        )

@@ -1,0 +1,105 @@
+"""One stream as whoever runs the service sees it: counted as it goes, logged where it turns."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from contextvars import copy_context
+from typing import Any
+
+from service.metrics import Metrics
+from service.protocol.server_messages import (
+    Closing,
+    OdasSst,
+    Ready,
+    Result,
+    ServerMessage,
+    StreamError,
+)
+from service.streaming.account import Account
+
+log = logging.getLogger(__name__)
+
+RESULTS = (Result, OdasSst)
+"""Messages of which every result has exactly one"""
+
+
+class StreamWatch:
+    """Counts and logs one stream.
+
+    Parameters
+    ----------
+    account : Account
+        Of the stream's session, read here.
+    time : callable
+        Seconds of the session's clock.
+    """
+
+    def __init__(self, metrics: Metrics, account: Account, time: Callable[[], float]) -> None:
+        self._metrics = metrics
+        self._account = account
+        self._time = time
+        self._audio_s = 0.0
+        """That were counted"""
+        self._dropped_s = 0.0
+        """That were counted"""
+        self._context = copy_context()
+        """With the ids of the request, the stream and the span: what a worker says comes without"""
+        self._reason = "vanished"
+        self._detail: str | None = None
+
+    def heard(self) -> None:
+        """Count the audio of a message that was taken in."""
+        account = self._account
+        if account.audio_s > self._audio_s:
+            self._metrics.audio("stream", account.audio_s - self._audio_s)
+            self._audio_s = account.audio_s
+        if account.dropped_s > self._dropped_s:
+            self._metrics.audio_dropped(account.dropped_s - self._dropped_s)
+            self._dropped_s = account.dropped_s
+
+    def said(self, message: ServerMessage, client: str | None) -> float | None:
+        """Take note of a message to the client; the arrival of a result's last audio, or None."""
+        if isinstance(message, RESULTS):
+            lag = self._account.lag_ms / 1000
+            self._metrics.lag(lag)
+            return self._time() - lag
+        if isinstance(message, Ready):
+            fields = {
+                "client_name": client,
+                "array": message.array.name,
+                "model": message.model.name if message.model else None,
+                "localization": message.method,
+            }
+            self._log("stream began", fields)
+        elif isinstance(message, Closing):
+            self._reason = message.code
+        elif isinstance(message, StreamError):
+            self._reason, self._detail = message.code, message.detail
+            self._metrics.refused(message.code)
+        return None
+
+    def sent(self, arrived: float | None) -> None:
+        """Count a result that was handed to the socket."""
+        if arrived is not None:
+            self._metrics.result_sent(self._time() - arrived)
+
+    def ended(self, client: str | None) -> None:
+        """Count and log the end."""
+        account = self._account
+        self._metrics.session_ended(self._reason)
+        fields = {
+            "reason": self._reason,
+            "client_name": client,
+            "audio_s": round(account.audio_s, 3),
+            "dropped_s": round(account.dropped_s, 3),
+            "results": account.results,
+            "lag_p50_ms": account.median_lag_ms(),
+            "lag_max_ms": account.most_lag_ms,
+        }
+        if self._detail is not None:
+            fields["detail"] = self._detail
+        self._log(f"stream ended: {self._reason}", fields)
+
+    def _log(self, message: str, fields: Mapping[str, Any]) -> None:
+        self._context.run(log.info, message, extra=fields)

@@ -1,0 +1,128 @@
+"""What the service logs: for people or as JSON, with the ids of the request and the stream.
+
+Nothing that came over the wire can begin a line of its own, and no key is ever written.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import sys
+from contextvars import ContextVar
+from datetime import UTC, datetime
+from typing import Any
+
+from service.settings import Settings
+
+request_id: ContextVar[str | None] = ContextVar("request_id", default=None)
+"""Of the request that is being answered; threads of the request have it, too"""
+session_id: ContextVar[str | None] = ContextVar("session_id", default=None)
+"""Of the stream that is being served"""
+
+PACKAGE = "service"
+SAID = ("method", "path", "status", "reason")
+"""Fields that their line's message repeats"""
+HIDDEN = "[hidden]"
+_KEYS = re.compile(r"(bearer[ .:=]+)[A-Za-z0-9._~+/=-]+", re.IGNORECASE)
+"""Keys as clients send them: ``Authorization: Bearer KEY`` and the subprotocol ``bearer.KEY``"""
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
+_OWN = frozenset({*logging.makeLogRecord({}).__dict__, "message", "taskName", "color_message"})
+"""Attributes that every record has; further ones are a line's own fields"""
+
+
+def configure_logging(settings: Settings, worker: str | None = None) -> None:
+    """Log to standard error in the format of the settings; for the process that owns it.
+
+    Parameters
+    ----------
+    worker : str, optional
+        Name of a worker process, which all its lines then carry.
+    """
+    handler = logging.StreamHandler(sys.stderr)
+    formatter = JsonFormatter if settings.log_format == "json" else TextFormatter
+    handler.setFormatter(formatter(worker))
+    root = logging.getLogger()
+    root.handlers = [handler]
+    root.setLevel(logging.WARNING)
+    logging.getLogger(PACKAGE).setLevel(settings.log_level.upper())
+    logging.captureWarnings(True)
+
+
+def server_log_level(settings: Settings) -> str:
+    """uvicorn's level: on ``debug`` it would show handshakes with all their headers."""
+    return "info" if settings.log_level == "debug" else settings.log_level
+
+
+def _ids(worker: str | None) -> dict[str, Any]:
+    """What tells a line's place: ids that are known, None left out."""
+    known: dict[str, Any] = {
+        "request_id": request_id.get(),
+        "session_id": session_id.get(),
+        "worker": worker,
+        **_span_ids(),
+    }
+    return {name: value for name, value in known.items() if value is not None}
+
+
+def _span_ids() -> dict[str, str]:
+    """The ids of the current span; nothing is imported for it."""
+    trace = sys.modules.get("opentelemetry.trace")
+    context = trace.get_current_span().get_span_context() if trace else None
+    if context is None or not context.is_valid:
+        return {}
+    return {"trace_id": f"{context.trace_id:032x}", "span_id": f"{context.span_id:016x}"}
+
+
+def _fields(record: logging.LogRecord) -> dict[str, Any]:
+    return {name: value for name, value in record.__dict__.items() if name not in _OWN}
+
+
+class JsonFormatter(logging.Formatter):
+    """One JSON object a line."""
+
+    def __init__(self, worker: str | None = None) -> None:
+        super().__init__()
+        self._worker = worker
+
+    def format(self, record: logging.LogRecord) -> str:
+        created = datetime.fromtimestamp(record.created, UTC)
+        line: dict[str, Any] = {
+            "ts": created.isoformat(timespec="milliseconds").replace("+00:00", "Z"),
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "message": record.getMessage().strip(),
+            **_ids(self._worker),
+            **_fields(record),
+        }
+        if record.exc_info:
+            line["exception"] = self.formatException(record.exc_info)
+        # ASCII alone, so that no reader takes a separator of Unicode for the end of a line.
+        return _without_keys(json.dumps(line, default=str))
+
+
+class TextFormatter(logging.Formatter):
+    """One line for people; only a traceback takes more."""
+
+    def __init__(self, worker: str | None = None) -> None:
+        super().__init__()
+        self._worker = worker
+
+    def format(self, record: logging.LogRecord) -> str:
+        clock = f"{self.formatTime(record, '%H:%M:%S')}.{record.msecs:03.0f}"
+        named = {**_ids(self._worker), **_fields(record)}
+        told = " ".join(f"{name}={value}" for name, value in named.items() if name not in SAID)
+        line = f"{clock} {record.levelname:<8} {record.getMessage().strip()}  {told}".rstrip()
+        line = one_line(line)
+        if record.exc_info:
+            line += "\n" + self.formatException(record.exc_info)
+        return _without_keys(line)
+
+
+def one_line(text: str) -> str:
+    """``text`` with its control characters written out."""
+    return _CONTROL.sub(lambda found: f"\\x{ord(found.group()):02x}", text)
+
+
+def _without_keys(text: str) -> str:
+    return _KEYS.sub(rf"\1{HIDDEN}", text)

@@ -1,0 +1,78 @@
+"""A worker process that localizes recordings, one after the other.
+
+The service starts it as ``python -m service.recording_worker FD``. Decoders of files that strangers
+made run in here and nowhere else: one that crashes or hangs takes a request with it, no more.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from collections.abc import Callable
+
+from service.api.recording_job import (
+    Localized,
+    Outcome,
+    RecordingJob,
+    Refused,
+    Report,
+    localize_file,
+)
+from service.errors import UNEXPECTED, DoaError
+from service.inference.registry import BundleRegistry
+from service.settings import Settings
+from service.startup import warm_up
+from service.worker_link import READY, Link, run_worker
+
+log = logging.getLogger(__name__)
+
+
+class Unwanted(Exception):
+    """Nobody waits for the answer any more."""
+
+
+def work_until_end(link: Link, registry: BundleRegistry) -> None:
+    """Take jobs with their files; every report is answered with whether to go on."""
+
+    def report(message: Report) -> None:
+        link.send(message)
+        if not link.receive():
+            raise Unwanted
+
+    while True:
+        job, descriptor = link.receive_with_file()
+        link.send(_outcome(job, descriptor, registry, report))
+
+
+def _outcome(
+    job: RecordingJob,
+    descriptor: int | None,
+    registry: BundleRegistry,
+    report: Callable[[Report], None],
+) -> Outcome | None:
+    assert descriptor is not None
+    began = time.monotonic()
+    try:
+        with os.fdopen(descriptor, "rb") as file:
+            file.seek(0)
+            body, windows = localize_file(job, file, registry, report)
+        return Localized(body, windows, time.monotonic() - began)
+    except Unwanted:
+        return None
+    except DoaError as error:
+        return Refused(error)
+    except Exception:
+        log.exception("the recording failed", extra={"request_id": job.request_id})
+        return Refused(DoaError(UNEXPECTED))
+
+
+def serve(link: Link, settings: Settings, registry: BundleRegistry) -> None:
+    """Localize recordings until the service ends."""
+    warm_up(registry)
+    link.send(READY)
+    work_until_end(link, registry)
+
+
+if __name__ == "__main__":
+    run_worker(serve)

@@ -1,0 +1,243 @@
+"""Recordings in worker processes: full, crashed, stalled, stopped, and as before afterwards."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+import soundfile
+from fastapi.testclient import TestClient
+
+from service import recording_worker
+from service.api.options import read_options
+from service.api.recording_job import Opened, Progress, RecordingJob, Refused, localize_file
+from service.app import create_app
+from service.audio import AudioLimits
+from service.errors import UNEXPECTED, InvalidOption
+from service.inference.registry import BundleRegistry
+from service.settings import Settings
+from service.worker_link import Link
+
+ARRAY = "respeaker-usb-4mic-v2"
+PATIENCE = 20  # seconds until a hanging test fails
+HEADERS = {"Content-Type": "audio/wav"}
+
+
+class Service:
+    """An application with one worker, which can be stopped and killed."""
+
+    def __init__(self, client: TestClient, body: bytes) -> None:
+        self.client, self.body = client, body
+        self.workers = client.app.state.service.recording_workers  # type: ignore[attr-defined]
+        self.executor = ThreadPoolExecutor(1)
+
+    def post(self, body: bytes | None = None) -> Any:
+        return self.client.post(
+            "/localize", params={"array": ARRAY}, content=body or self.body, headers=HEADERS
+        )
+
+    @property
+    def pid(self) -> int:
+        (pid,) = self.workers.pids
+        return int(pid)
+
+    @contextmanager
+    def busy(self) -> Iterator[Future[Any]]:
+        """While a recording is in a worker that stands still."""
+        assert self.post().status_code == 200  # it is up
+        pid = self.pid
+        os.kill(pid, signal.SIGSTOP)
+        running = self.executor.submit(self.post)
+        while not self.workers.admitted:
+            assert self.client.get("/livez").status_code == 200
+        try:
+            yield running
+        finally:
+            if pid in self.workers.pids:
+                os.kill(pid, signal.SIGCONT)
+            running.result(PATIENCE)
+
+
+@pytest.fixture
+def service(sounds: Any) -> Iterator[Callable[..., Service]]:
+    """Makes applications without models: classical methods start faster."""
+    clients: list[TestClient] = []
+
+    def make(**settings: Any) -> Service:
+        app = create_app(Settings(workers=1, **settings), BundleRegistry(()))
+        client = TestClient(app, raise_server_exceptions=False)
+        client.__enter__()
+        clients.append(client)
+        return Service(client, sounds.wav())
+
+    yield make
+    for client in clients:
+        client.__exit__(None, None, None)
+
+
+def test_probes_answer_while_a_recording_is_localized(service: Any) -> None:
+    running = service()
+    with running.busy():
+        assert running.client.get("/livez").json() == {"status": "ok"}
+        assert running.client.get("/readyz").json() == {"status": "ok"}
+
+
+def test_a_full_service_says_when_to_come_back(service: Any) -> None:
+    running = service(queue=0)
+    with running.busy() as first:
+        refused = running.post(b"not even read")
+        assert refused.status_code == 503
+        assert refused.json()["code"] == "overloaded"
+        assert int(refused.headers["retry-after"]) > 0
+    assert first.result().status_code == 200
+
+
+def test_a_worker_is_free_again_after_a_recording_that_is_none(service: Any) -> None:
+    running = service(queue=0)
+    for _ in range(3):
+        assert running.post(b"no audio at all").status_code == 415
+    pid = running.pid
+    assert running.post().status_code == 200
+    assert running.pid == pid
+
+
+def test_a_stopping_service_ends_what_runs_and_refuses_what_comes(service: Any) -> None:
+    running = service()
+    with running.busy() as first:
+        running.workers.drain()
+    for response in (first.result(), running.post()):
+        assert response.status_code == 503
+        assert response.json()["code"] == "draining"
+        assert "retry-after" in response.headers
+
+
+@pytest.mark.parametrize(
+    ("number", "status", "code"),
+    [(signal.SIGSEGV, 422, "decoding_failed"), (signal.SIGKILL, 503, "worker_lost")],
+)
+def test_a_worker_that_dies_takes_one_recording_with_it(
+    service: Any, number: signal.Signals, status: int, code: str
+) -> None:
+    running = service()
+    with running.busy() as first:
+        lost = running.pid
+        os.kill(lost, number)
+        os.kill(lost, signal.SIGCONT)
+    response = first.result()
+    assert (response.status_code, response.json()["code"]) == (status, code)
+    assert ("retry-after" in response.headers) == (status == 503)
+    assert running.post().status_code == 200
+    assert running.pid != lost
+
+
+def test_a_worker_that_stalls_is_replaced(service: Any) -> None:
+    running = service(stall_timeout=1)
+    with running.busy() as first:
+        stalled = running.pid
+        response = first.result(PATIENCE)
+    assert (response.status_code, response.json()["code"]) == (422, "decoding_failed")
+    assert "no sign for 1 s" in response.json()["detail"]
+    assert running.post().status_code == 200
+    assert running.pid != stalled
+
+
+def test_workers_end_with_the_application(service: Any, sounds: Any) -> None:
+    app = create_app(Settings(workers=1), BundleRegistry(()))
+    with TestClient(app) as client:
+        running = Service(client, sounds.wav())
+        assert running.post().status_code == 200
+        pid = running.pid
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def job(**options: Any) -> RecordingJob:
+    asked = read_options([("array", ARRAY), *((name, str(v)) for name, v in options.items())])
+    return RecordingJob(asked, AudioLimits())
+
+
+def silence(seconds: float) -> io.BytesIO:
+    """A long recording in a small file."""
+    file = io.BytesIO()
+    soundfile.write(file, np.zeros((round(seconds * 4000), 4), np.int16), 4000, format="FLAC")
+    file.seek(0)
+    return file
+
+
+@pytest.mark.parametrize(
+    ("seconds", "options", "says"),
+    [
+        (1001, {"hop_s": 0.02}, "at most 50000: take hop_s=0.02 or more"),
+        (201, {"hop_s": 0.02, "spectrum": 1}, "at most 10000 with spectra"),
+    ],
+)
+def test_too_many_windows_are_refused_before_anything_is_decoded(
+    seconds: float, options: dict[str, Any], says: str
+) -> None:
+    reports: list[Any] = []
+    with pytest.raises(InvalidOption, match=says):
+        localize_file(job(**options), silence(seconds), BundleRegistry(()), reports.append)
+    assert reports == []
+
+
+def test_a_recording_is_opened_before_it_is_decoded() -> None:
+    reports: list[Any] = []
+    localize_file(job(), silence(10), BundleRegistry(()), reports.append)
+    assert reports[0] == Opened(10.0)
+    assert reports[-1] == Progress(1.0)
+    shares = [report.share for report in reports[1:]]
+    assert shares == sorted(shares)
+
+
+@pytest.fixture
+def link() -> Iterator[Link]:
+    """The other end of a worker that runs in a thread."""
+    ours, theirs = socket.socketpair()
+
+    def work() -> None:
+        with pytest.raises(EOFError):
+            recording_worker.work_until_end(Link(theirs), BundleRegistry(()))
+        theirs.close()
+
+    ours.settimeout(PATIENCE)
+    thread = threading.Thread(target=work)
+    thread.start()
+    yield Link(ours)
+    ours.close()
+    thread.join(PATIENCE)
+
+
+def test_a_worker_that_is_told_to_stop_waits_for_the_next_recording(
+    link: Link, tmp_path: Any
+) -> None:
+    path = tmp_path / "silence.flac"
+    path.write_bytes(silence(10).getvalue())
+    for _ in range(2):
+        with path.open("rb") as file:
+            link.send(job(), [file.fileno()])
+        assert link.receive() == Opened(10.0)
+        link.send(False)
+        assert link.receive() is None
+
+
+def test_an_unforeseen_failure_gives_nothing_away(
+    link: Link, monkeypatch: pytest.MonkeyPatch, tmp_path: Any
+) -> None:
+    def broken(*_: Any) -> None:
+        raise ZeroDivisionError("secret")
+
+    monkeypatch.setattr("service.recording_worker.localize_file", broken)
+    with (tmp_path / "any").open("w+b") as file:
+        link.send(job(), [file.fileno()])
+        refused = link.receive()
+    assert isinstance(refused, Refused)
+    assert (refused.error.code, refused.error.detail) == ("internal", UNEXPECTED)

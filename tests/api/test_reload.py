@@ -1,0 +1,163 @@
+"""Models that are loaded again: new work gets the new ones, running work keeps its own."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+from running_service import RunningService
+from websocket_stream import PATIENCE, SECOND, end, opened, started, until
+
+from service.inference.registry import EMBEDDED_MODELS
+from service.settings import Settings
+
+ARRAY = "respeaker-usb-4mic-v2"
+NEURAL = {"method": "neural", "model": "robot"}
+
+
+def write_version(folder: Path, version: str) -> None:
+    path = folder / "bundle.json"
+    fields = json.loads(path.read_text())
+    path.write_text(json.dumps({**fields, "name": "robot", "version": version}))
+
+
+@pytest.fixture
+def bundle(tmp_path: Path) -> Path:
+    """A bundle of the user's, in a folder of bundles."""
+    folder = tmp_path / "models" / "robot"
+    shutil.copytree(EMBEDDED_MODELS / "any-array", folder)
+    write_version(folder, "1.0.0")
+    return folder
+
+
+@pytest.fixture
+def service(bundle: Path) -> Iterator[RunningService]:
+    settings = Settings(workers=1, stream_workers=1, models=(bundle.parent,))
+    running = RunningService(settings=settings)
+    yield running
+    running.stop()
+
+
+def version(url: str) -> str:
+    """Of the model that new requests get."""
+    models = httpx2.get(f"{url}/models", timeout=PATIENCE).json()["models"]
+    return next(str(model["version"]) for model in models if model["name"] == "robot")
+
+
+def localized_with(service: RunningService, body: bytes) -> str:
+    response = httpx2.post(
+        f"{service.url}/localize",
+        params={"array": ARRAY, **NEURAL},
+        content=body,
+        headers={"Content-Type": "audio/wav"},
+        timeout=PATIENCE,
+    )
+    assert response.status_code == 200
+    return str(response.json()["model"]["version"])
+
+
+def reload(service: RunningService) -> httpx2.Response:
+    return httpx2.post(f"{service.url}/admin/reload", timeout=PATIENCE)
+
+
+def test_new_work_gets_the_new_models_and_a_running_stream_keeps_its_own(
+    service: RunningService, bundle: Path, sounds: Any
+) -> None:
+    assert localized_with(service, sounds.wav()) == "1.0.0"
+
+    async def run() -> list[str]:
+        async with opened(service) as old:
+            versions = [(await started(old, **NEURAL))["model"]["version"]]
+            write_version(bundle, "2.0.0")
+            response = await asyncio.to_thread(reload, service)
+            assert response.status_code == 200
+            async with opened(service) as new:
+                versions.append((await started(new, **NEURAL))["model"]["version"])
+                for socket in (old, new):
+                    await socket.send(SECOND[:65_536])
+                    assert (await until(socket, "result"))["t_end"] == pytest.approx(0.1)
+        return versions
+
+    (before,) = service.worker_pids
+    assert asyncio.run(run()) == ["1.0.0", "2.0.0"]
+    assert version(service.url) == localized_with(service, sounds.wav()) == "2.0.0"
+    while before in service.worker_pids:  # it ends with its last stream
+        assert httpx2.get(f"{service.url}/livez").status_code == 200
+
+
+@pytest.mark.parametrize("damage", ["covariance.onnx", "bundle.json", "golden.npz"])
+def test_a_bad_bundle_leaves_the_old_one_serving(
+    service: RunningService, bundle: Path, sounds: Any, damage: str
+) -> None:
+    pids = service.worker_pids
+    write_version(bundle, "2.0.0")
+    content = bytearray((bundle / damage).read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    (bundle / damage).write_bytes(content)
+    refused = reload(service)
+    assert (refused.status_code, refused.json()["code"]) == (409, "reload_refused")
+    assert damage in refused.json()["detail"]
+    assert version(service.url) == localized_with(service, sounds.wav()) == "1.0.0"
+    assert service.worker_pids == pids
+
+
+def test_a_folder_that_changes_without_a_reload_changes_nothing(
+    service: RunningService, bundle: Path
+) -> None:
+    shutil.rmtree(bundle)
+
+    async def run() -> str:
+        async with opened(service) as lost:
+            await started(lost, **NEURAL)
+            (pid,) = service.worker_pids
+            os.kill(pid, signal.SIGKILL)
+            assert (await end(lost))[0]["code"] == "worker_lost"
+        async with opened(service) as socket:  # on a worker that starts only now
+            return str((await started(socket, **NEURAL))["model"]["version"])
+
+    assert asyncio.run(run()) == "1.0.0"
+
+
+def test_a_hang_up_signal_reloads(bundle: Path) -> None:
+    program = "import sys; from service.cli import main; sys.exit(main(sys.argv[1:]))"
+    flags = ["serve", "--port", "0", "--workers", "1", "--models", str(bundle.parent)]
+    with subprocess.Popen(
+        [sys.executable, "-c", program, *flags], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        url = process.stdout.readline().split()[-1]
+        try:
+            write_version(bundle, "2.0.0")
+            process.send_signal(signal.SIGHUP)
+            while version(url) != "2.0.0":
+                assert process.poll() is None
+        finally:
+            process.terminate()
+    assert process.returncode in (0, -signal.SIGTERM)
+
+
+def test_a_stream_worker_that_stands_still_is_killed(
+    service: RunningService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.api.stream_workers.STALL_S", 0.5)
+
+    async def run() -> tuple[dict[str, Any], int | None]:
+        async with opened(service) as socket:
+            await started(socket)
+            (pid,) = service.worker_pids
+            os.kill(pid, signal.SIGSTOP)
+            await socket.send(SECOND[:65_536])
+            return await end(socket)
+
+    last, close_code = asyncio.run(run())
+    assert (last["code"], close_code) == ("worker_lost", 1011)
