@@ -17,8 +17,8 @@ from pydantic import Field, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from service.auth import TOKEN
 from service.errors import ConfigError
+from service.key_file import TOKEN
 
 PREFIX = "NEURALMUSIC_"
 KEY_VARIABLE = f"{PREFIX}KEY"

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from service.auth import new_token
 from service.errors import ConfigError
+from service.key_file import new_token
 from service.settings import Settings, load_settings, usable_cpus, variable
 
 
