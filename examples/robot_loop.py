@@ -8,6 +8,7 @@ whatever moves. Needs ``pip install "neuralmusic[client]" soundfile``.
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Iterator
@@ -38,7 +39,8 @@ def main(path: str, array: str, url: str = "http://127.0.0.1:8000") -> None:
     with soundfile.SoundFile(path) as sound:
         audio = {"encoding": "pcm_s16le", "sample_rate": sound.samplerate}
         audio["channels"] = sound.channels
-        with StreamClient(url, array=array, audio=audio) as stream:
+        key = os.environ.get("NEURALMUSIC_KEY")  # where the service has keys
+        with StreamClient(url, array=array, audio=audio, key=key) as stream:
             for chunk in chunks(sound):
                 stream.send(chunk)
                 results = [event for event in stream.received() if isinstance(event, Result)]

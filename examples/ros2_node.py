@@ -14,12 +14,14 @@ Publishes, for every result,
 Parameters: ``url``, ``array``, ``device`` (a part of its name, or its number), ``frame_id``,
 ``channel_map`` (``1,2,3,4``; empty where there are as many channels as microphones), and ``topic``:
 with the name of a topic of ``std_msgs/Int16MultiArray`` (interleaved samples of
-``topic_channels`` channels at ``topic_rate`` Hz) nothing is recorded here.
+``topic_channels`` channels at ``topic_rate`` Hz) nothing is recorded here. Where the service has
+keys, the variable ``NEURALMUSIC_KEY`` holds one.
 """
 
 from __future__ import annotations
 
 import math
+import os
 import threading
 from typing import Any
 
@@ -63,6 +65,7 @@ class SoundDirections(Node):
             self._value("url"),
             array=self._value("array"),
             audio=self._audio(),
+            key=os.environ.get("NEURALMUSIC_KEY"),  # a parameter could be read by every node
             wait_s=WAIT_S,
             **self._channel_map(),
         ).open()

@@ -16,13 +16,16 @@ from pydantic import Field, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from service.auth import TOKEN
 from service.cpus import usable_cpus
 from service.errors import ConfigError
+from service.key_file import TOKEN
 
 PREFIX = "NEURALMUSIC_"
 KEY_VARIABLE = f"{PREFIX}KEY"
 """Holds the key that a client sends; no setting of the service"""
+
+GRACE = 10.0
+"""Seconds that recordings in work get to finish after SIGTERM, by default"""
 
 LogLevel = Literal["critical", "error", "warning", "info", "debug"]
 LogFormat = Literal["text", "json"]
@@ -88,7 +91,7 @@ class Settings(BaseSettings):
     drain_delay: float = Field(0.0, ge=0, le=3600)
     """Seconds after SIGTERM in which /readyz is 503 but new work is still taken, so that no proxy
     sends it in vain"""
-    drain_grace: float = Field(10.0, ge=0, le=86_400)
+    drain_grace: float = Field(GRACE, ge=0, le=86_400)
     """Seconds that recordings in work then get to finish"""
     log_level: LogLevel = "info"
     """Least severe messages that are logged"""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from pathlib import Path
 from types import TracebackType
@@ -115,8 +114,8 @@ class ComposeProject:
         exc: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        if exc is not None and "KEEP_LOGS" in os.environ:
-            (ROOT / f"{self.name}.log").write_text(self.compose("logs", "--no-color", "-t"))
+        if exc is not None:
+            print(self.compose("logs", "--no-color", "--tail", "100"))  # beside the failure
         self.compose("down", "-v", "-t", "1", "--remove-orphans")
 
 

@@ -14,12 +14,13 @@ from starlette.requests import HTTPConnection
 from starlette.routing import Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.hosts import check_host
+from service.api.hosts import check_host, is_loopback
 from service.api.origins import SAFE_METHODS, check_origin
 from service.api.problems import problem_response
 from service.api.requests import route_path
-from service.auth import ANYONE, ROLES, Key, Keys, Role
+from service.auth import ANYONE, Keys
 from service.errors import DoaError, KeyInAddress
+from service.key_file import ROLES, Key, Role
 from service.settings import Settings
 
 PUBLIC: tuple[Role, ...] = ()
@@ -71,6 +72,8 @@ class Guard:
         self.app = app
         self._settings = settings
         self._keys = keys
+        self._only_here = not keys.needed and is_loopback(settings.host)
+        """Nothing but the name then keeps pages out whose name was bound anew"""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
@@ -95,7 +98,7 @@ class Guard:
     def _admitted(self, scope: Scope) -> Key:
         """The key of who asks, or the reason why not."""
         headers = Headers(scope=scope)
-        if self._settings.hosts or not self._keys.needed:  # a page of another name has no key
+        if self._settings.hosts or self._only_here:
             check_host(scope, headers.get("host", ""), self._settings.hosts)
         _refuse_keys_in_address(scope)
         roles = needed_roles(route_path(scope))

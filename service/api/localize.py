@@ -54,7 +54,7 @@ async def localize(request: Request) -> Response:
                     request,
                     job,
                     upload.file,
-                    lambda opened: state.keys.charge(key, opened.duration),
+                    charge,
                 )
     return Response(localized.body, media_type="application/json")
 

@@ -29,6 +29,10 @@ from service.inference.results import (
 NUMBER = re.compile(r"-?(\d+(\.\d+)?(e-?\d+)?|\.\d+(e-?\d+)?|\d+\.)", re.ASCII | re.IGNORECASE)
 """Not float() alone: it takes "nan", "1_0" and digits of any script. Nothing in it may match in two
 ways: 64,000 digits and a letter would take minutes"""
+MAX_DIGITS = 64
+"""Characters of a number"""
+MAX_SECTORS = 16
+"""As many as a stream may exclude"""
 SHOWN = 60
 """Characters of a client's value that an error repeats"""
 
@@ -58,7 +62,7 @@ def number(low: float, high: float, default: float, description: str) -> Option:
     """A real number within bounds."""
 
     def read(text: str) -> float:
-        if not NUMBER.fullmatch(text):
+        if len(text) > MAX_DIGITS or not NUMBER.fullmatch(text):
             raise ValueError(f"must be a number from {low:g} to {high:g}")
         value = float(text)
         if not low <= value <= high:
@@ -95,8 +99,11 @@ def read_flag(text: str) -> bool:
 def read_sectors(text: str) -> tuple[tuple[float, float], ...]:
     """Sectors as ``80:100,350:10``."""
     sentence = "must list sectors as from:to in degrees from -360 to 360, as 80:100,350:10"
+    parts = text.split(",", MAX_SECTORS)
+    if len(parts) > MAX_SECTORS:
+        raise ValueError(f"may list at most {MAX_SECTORS} sectors")
     sectors = []
-    for part in text.split(","):
+    for part in parts:
         if not re.fullmatch(r"\s*-?\d{1,3}(\.\d{1,6})?:-?\d{1,3}(\.\d{1,6})?\s*", part, re.ASCII):
             raise ValueError(sentence)
         first, last = map(float, part.split(":"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from http import HTTPStatus
 from typing import Annotated, Literal
 
@@ -12,6 +12,7 @@ from fastapi import APIRouter, HTTPException, Query, Request
 from starlette.responses import Response, StreamingResponse
 
 from service.api.catalog import NOT_FOUND
+from service.api.guard import key_of
 from service.api.outbox import message_json
 from service.api.problems import problem_responses
 from service.api.schemas import Answer
@@ -110,8 +111,10 @@ async def sessions(request: Request) -> SessionsAnswer:
 async def session_events(request: Request, session_id: str) -> StreamingResponse:
     """Everything that a running stream tells its client, for dashboards."""
     entry = _entry(request, session_id)
+    keys, key = state_of(request).keys, key_of(request)
+    events = _events(entry, lambda: keys.holds(key, "watch"))
     return StreamingResponse(
-        _events(entry), media_type="text/event-stream", headers={"Cache-Control": "no-store"}
+        events, media_type="text/event-stream", headers={"Cache-Control": "no-store"}
     )
 
 
@@ -152,8 +155,8 @@ def _entry(request: Request, session_id: str) -> SessionEntry:
     return entry
 
 
-async def _events(entry: SessionEntry) -> AsyncIterator[str]:
-    """Server-sent events of one session until it ends."""
+async def _events(entry: SessionEntry, allowed: Callable[[], bool]) -> AsyncIterator[str]:
+    """Server-sent events of one session until it ends, or the watcher may watch no more."""
     waiting: asyncio.Queue[ServerMessage] = asyncio.Queue(MAX_EVENTS)
 
     def watch(message: ServerMessage) -> None:
@@ -168,7 +171,7 @@ async def _events(entry: SessionEntry) -> AsyncIterator[str]:
         return
     entry.watch(watch)
     try:
-        while True:
+        while allowed():
             try:
                 message = await asyncio.wait_for(waiting.get(), KEEP_ALIVE_S)
             except TimeoutError:

@@ -13,7 +13,7 @@ from service.api.problems import problem_response
 from service.api.state import ServiceState
 from service.api.stream_watch import StreamWatch
 from service.api.stream_workers import worker_lost
-from service.auth import ANYONE, Key
+from service.auth import ANYONE
 from service.errors import (
     AccessError,
     AudioQuota,
@@ -22,6 +22,7 @@ from service.errors import (
     SubprotocolMissing,
     TooManySessions,
 )
+from service.key_file import Key
 from service.logs import session_id
 from service.protocol import SUBPROTOCOL
 from service.protocol.close_codes import CloseCode

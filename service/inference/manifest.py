@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 SCHEMA_VERSION: Literal[1] = 1
 Variant = Literal["weights", "regression"]
 NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]{0,63}$"
+FILE_PATTERN = r"^[A-Za-z0-9_][A-Za-z0-9._-]{0,63}$"
+"""Of a file beside the manifest: nothing that leads out of the folder"""
 
 
 class _Section(BaseModel):
@@ -69,7 +71,7 @@ class Manifest(_Section):
     """Bins that the networks see"""
     max_sources: int
     """Largest count that the source-count network can give"""
-    files: dict[str, str]
+    files: dict[Annotated[str, Field(pattern=FILE_PATTERN)], str]
     """SHA-256 of every other file of the bundle"""
     covariance: Graph
     source_count: Graph

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from service.app import create_app
 from service.doa.array import SPEED_OF_SOUND
 from service.doa.presets import preset
+from service.logs import JsonFormatter, TextFormatter
 from service.settings import Settings
 
 ARRAY = "respeaker-usb-4mic-v2"
@@ -66,6 +68,26 @@ def client() -> Iterator[TestClient]:
     settings = Settings(workers=2, queue=2, max_upload_bytes=2 * 2**20, max_seconds=20.0)
     with TestClient(create_app(settings), raise_server_exceptions=False) as running:
         yield running
+
+
+@pytest.fixture
+def written_log() -> Iterator[io.StringIO]:
+    """What is logged meanwhile, every line as text and as JSON; uvicorn's lines, too."""
+    written = io.StringIO()
+    names = ("service", "uvicorn", "uvicorn.access")
+    loggers = [(logger, logger.level) for logger in map(logging.getLogger, names)]
+    handlers = [logging.StreamHandler(written) for _ in range(2)]
+    for handler, formatter in zip(handlers, (TextFormatter(), JsonFormatter()), strict=True):
+        handler.setFormatter(formatter)
+        logging.getLogger("service").addHandler(handler)
+        logging.getLogger("uvicorn").addHandler(handler)
+    for logger, _ in loggers:
+        logger.setLevel(logging.INFO)
+    yield written
+    for logger, level in loggers:
+        logger.setLevel(level)
+        for handler in handlers:
+            logger.removeHandler(handler)
 
 
 @dataclass(frozen=True)

@@ -123,6 +123,10 @@ SQUARE = ((1, 1, 0), (-1, 1, 0), (-1, -1, 0), (1, -1, 0))
     ("options", "code", "says"),
     [
         ({"array": "respeaker"}, "array_unknown", "respeaker-usb-4mic-v2"),
+        # 64,000 digits and a letter once took two minutes, in which nobody else was answered.
+        ({"yaw_deg": "1" * 64_000 + "x"}, "option_invalid", "must be a number"),
+        ({"yaw_deg": "0" * 65}, "option_invalid", "must be a number"),
+        ({"exclude_deg": ",".join(["1:2"] * 17)}, "option_invalid", "at most 16 sectors"),
         ({"array": ""}, "option_invalid", "array is empty"),
         ({"array": '{"positions_m": [[0, 0'}, "option_invalid", "no valid JSON"),
         ({"array": "[[0,0,0],[1,0,0]]"}, "option_invalid", "positions_m"),
@@ -279,7 +283,9 @@ def test_a_body_without_a_length_is_counted(client: Any) -> None:
     [
         ("GET", "/nothing", 404, "not_found", "nothing at /nothing"),
         ("GET", "/localize", 405, "method_not_allowed", "takes POST"),
-        ("DELETE", "/models", 405, "method_not_allowed", "takes GET"),
+        ("DELETE", "/models", 405, "method_not_allowed", "takes GET, not DELETE"),
+        ("POST", "/", 405, "method_not_allowed", "takes GET, HEAD, not POST"),
+        ("POST", "/noise/x", 405, "method_not_allowed", "takes GET, PUT, DELETE, not POST"),
     ],
 )
 def test_a_wrong_path_or_method(

@@ -7,6 +7,7 @@ GET, and ``Host`` as the address has it, whatever that name resolves to.
 from __future__ import annotations
 
 import asyncio
+import io
 from collections.abc import Iterator
 from contextlib import suppress
 from ipaddress import ip_address
@@ -22,9 +23,9 @@ from starlette.datastructures import Headers
 from service.api.hosts import check_host, host_name
 from service.api.origins import check_origin
 from service.app import create_app
-from service.auth import new_token, token_sha256
 from service.errors import HostRefused, OriginRefused
 from service.inference.registry import BundleRegistry
+from service.key_file import new_token, token_sha256
 from service.settings import Settings
 
 EVIL = "http://evil.example"
@@ -150,8 +151,10 @@ def test_a_service_with_keys_behind_a_proxy_of_its_machine_takes_the_proxys_name
     client = TestClient(app, base_url="http://127.0.0.1:8000")
     headers = {"Host": "doa.example", "Authorization": f"Bearer {token}"}
     assert client.get("/sessions", headers=headers).status_code == 200
-    bare = TestClient(create_app(Settings(), BundleRegistry(())), base_url="http://127.0.0.1:8000")
-    assert bare.get("/sessions", headers=headers).status_code == 421
+    for host, status in (("127.0.0.1", 421), ("localhost", 421), ("0.0.0.0", 200)):
+        bare = create_app(Settings(host=host), BundleRegistry(()))
+        asked = TestClient(bare, base_url="http://127.0.0.1:8000").get("/sessions", headers=headers)
+        assert asked.status_code == status
 
 
 @given(st.text(st.characters(max_codepoint=255)))
@@ -164,3 +167,24 @@ def test_no_host_or_origin_raises_anything_but_a_refusal(text: str) -> None:
         check_origin(Headers({"origin": text, "host": "robot"}), ())
         # Only the robot's own origin passes, whatever scheme it has.
         assert text.rpartition("//")[2].startswith("robot")
+
+
+def test_no_path_of_a_request_begins_a_line_of_the_log(
+    service: RunningService, written_log: io.StringIO
+) -> None:
+    with httpx2.Client(base_url=service.url) as http:
+        for path in ("/x%0d%0aFORGED%20line", "/x%1b%5b31mFORGED", "/x%e2%80%a8FORGED"):
+            assert http.get(path).status_code == 404
+        http.get("/livez")  # a line is written before the next request of its connection is read
+    lines = [line for line in written_log.getvalue().split("\n") if "FORGED" in line]
+    assert len(lines) == 6  # as text and as JSON
+    assert all(line.isprintable() and "/x" in line for line in lines)
+
+
+@pytest.mark.parametrize("name", ["a%22b", "a%0d%0aX-Forged:1", "a%3Bb", "a%2F..%2Fb", "%C3%A4"])
+def test_no_name_ends_up_in_a_header_but_plain_ones(name: str, client: TestClient) -> None:
+    for method in ("PUT", "GET"):
+        answer = client.request(method, f"/noise/{name}", content=b"x")
+        assert answer.status_code in (404, 422)
+        assert "x-forged" not in answer.headers
+        assert "content-disposition" not in answer.headers

@@ -53,7 +53,9 @@ def main() -> None:
     parser.add_argument("words", nargs="*", help="of docker run")
     asked = parser.parse_args()
     times = sorted(cold_start(asked.image, asked.words) for _ in range(asked.runs))
-    print(" ".join(f"{seconds:.2f}" for seconds in times), f"median {statistics.median(times):.2f} s")
+    print(
+        " ".join(f"{seconds:.2f}" for seconds in times), f"median {statistics.median(times):.2f} s"
+    )
 
 
 if __name__ == "__main__":

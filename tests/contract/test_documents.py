@@ -13,7 +13,7 @@ from service.client import errors as client_errors  # noqa: F401  (part of the t
 from service.doa.diagnostics import FindingCode
 from service.errors import DoaError
 from service.inference.bundle import load_bundle, read_manifest
-from service.settings import Settings, variable
+from service.settings import KEY_VARIABLE, Settings, variable
 
 ROOT = Path(__file__).parents[2]
 RESULTS = Results.read(ROOT / "docs" / "results.json")
@@ -38,7 +38,9 @@ def test_the_bundle_carries_its_model_card() -> None:
     assert load_bundle(ROOT / "service" / "models" / "any-array").card == card
 
 
-@pytest.mark.parametrize("page", [*sorted((ROOT / "docs").rglob("*.md")), ROOT / "README.md"])
+@pytest.mark.parametrize(
+    "page", [*sorted((ROOT / "docs").rglob("*.md")), *sorted(ROOT.glob("*.md"))]
+)
 def test_links_between_documents_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
         if "://" not in target:
@@ -46,8 +48,8 @@ def test_links_between_documents_lead_somewhere(page: Path) -> None:
 
 
 def test_variables_that_documents_name_exist() -> None:
-    known = {variable(name) for name in Settings.model_fields}
-    for page in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")):
+    known = {variable(name) for name in Settings.model_fields} | {KEY_VARIABLE}
+    for page in (*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")):
         assert set(re.findall(r"NEURALMUSIC_[A-Z_]+", page.read_text())) <= known
 
 

@@ -6,9 +6,12 @@ import json
 import re
 import shlex
 import shutil
+import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+import httpx2
 import pytest
 import soundfile
 from container_engine import ROOT, run
@@ -63,6 +66,33 @@ def test_a_running_stream_gets_its_summary_and_its_closing_on_shutdown(one: Comp
     assert (closing["code"], stream.close_code) == ("draining", 1012)
     assert summary["audio_s"] == pytest.approx(1.0)
     assert replica.wait() == 0
+
+
+def test_a_bundle_that_is_added_serves_after_a_hang_up(image: str, tmp_path: Path) -> None:
+    models = tmp_path / "models"
+    models.mkdir()
+    for folder in (tmp_path, models):
+        folder.chmod(0o755)  # the container's user is another one
+    with ComposeProject("reload", "compose.yaml", NEURALMUSIC_MODELS=models) as project:
+        project.up()
+        url = project.url("neuralmusic", 8000)
+        wait_for(f"{url}/readyz")
+        assert "mine" not in loaded(url)
+        embedded = ROOT / "service" / "models" / "any-array"
+        shutil.copytree(embedded, models / ".mine")
+        manifest = json.loads((embedded / "bundle.json").read_text())
+        (models / ".mine" / "bundle.json").write_text(json.dumps({**manifest, "name": "mine"}))
+        (models / ".mine").rename(models / "mine")
+        project.compose("kill", "-s", "HUP", "neuralmusic")
+        deadline = time.monotonic() + PATIENCE_S
+        while "mine" not in loaded(url) and time.monotonic() < deadline:
+            pass
+        assert loaded(url)[0] == "mine"
+
+
+def loaded(url: str) -> list[str]:
+    """The names of a service's models."""
+    return [model["name"] for model in httpx2.get(f"{url}/models").json()["models"]]
 
 
 def until(stream: ClientConnection, kind: str) -> dict[str, Any]:

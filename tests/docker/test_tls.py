@@ -17,15 +17,23 @@ pytestmark = pytest.mark.docker
 
 @pytest.fixture
 def certificate(tmp_path: Path) -> Path:
-    """A certificate for 127.0.0.1 that nobody but this test trusts, and its key, in one file."""
-    key, certificate, both = (tmp_path / name for name in ("key.pem", "ca.pem", "site.pem"))
+    """A certificate for 127.0.0.1 that nobody but this test trusts."""
+    return new_certificate(tmp_path / "ca.pem", tmp_path / "served")
+
+
+def new_certificate(certificate: Path, folder: Path) -> Path:
+    """A self-signed certificate; the folder has it with its key, for the proxy."""
+    key = certificate.with_suffix(".key")
     words = "req -x509 -newkey rsa:2048 -nodes -days 1 -subj /CN=robots -addext subjectAltName="
     made = ("-keyout", str(key), "-out", str(certificate))
     run("openssl", *f"{words}IP:127.0.0.1".split(), *made)
-    both.write_text(certificate.read_text() + key.read_text())
-    both.chmod(0o644)  # the proxy's user is another one
-    tmp_path.chmod(0o755)
-    return both
+    folder.mkdir(exist_ok=True)
+    served = folder / "site.pem"
+    served.write_text(certificate.read_text() + key.read_text())
+    served.chmod(0o644)  # the proxy's user is another one
+    for each in (folder, folder.parent):
+        each.chmod(0o755)
+    return certificate
 
 
 def test_https_and_wss_go_through_the_proxy(
@@ -37,7 +45,8 @@ def test_https_and_wss_go_through_the_proxy(
     provided("haproxy:2.6")
     monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
     files = ("compose.scale.yaml", "compose.tls.yaml")
-    with ComposeProject("tls", *files, REPLICAS="1", CERTIFICATE=certificate) as project:
+    folder = certificate.parent / "served"
+    with ComposeProject("tls", *files, REPLICAS="1", CERTIFICATES=folder) as project:
         project.up()
         url = project.url("proxy", 8443, "https")
         wait_for(f"{url}/readyz")

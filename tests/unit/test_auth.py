@@ -13,17 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.auth import (
-    ANYONE,
-    ROLES,
-    TOKEN,
-    Key,
-    Keys,
-    matching,
-    new_token,
-    read_keys,
-    token_sha256,
-)
+from service.auth import ANYONE, Keys, matching
 from service.errors import (
     AudioQuota,
     ConfigError,
@@ -35,6 +25,7 @@ from service.errors import (
     TooManySessions,
     TooManyUploads,
 )
+from service.key_file import ROLES, TOKEN, Key, new_token, read_keys, token_sha256
 from service.usage import Usage
 
 NOON = datetime(2030, 1, 1, 12, tzinfo=UTC)

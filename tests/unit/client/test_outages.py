@@ -176,13 +176,14 @@ def test_a_refused_handshake_is_the_problem_of_the_service(service_of: ServiceOf
     )
 
 
-def test_a_full_service_is_tried_again_when_it_says(service_of: ServiceOf) -> None:
-    full = {"code": "overloaded", "title": "Overloaded", "detail": "full", "status": 503}
-    later = (503, full, {"Retry-After": "3600"})
+@pytest.mark.parametrize("status", [429, 503])
+def test_a_full_service_is_tried_again_when_it_says(service_of: ServiceOf, status: int) -> None:
+    full = {"code": "overloaded", "title": "Overloaded", "detail": "full", "status": status}
+    later = (status, full, {"Retry-After": "3600"})
     with pytest.raises(StreamRefused, match="full") as caught:
         StreamClient(service_of(whole_session, refusals=[later]).url, **options(wait_s=60)).open()
     assert caught.value.retry_after_s == 3600
-    soon = (503, full, {"Retry-After": "0"})
+    soon = (status, full, {"Retry-After": "0"})
     service = service_of(whole_session, refusals=[soon, (502, {}, {}), soon])
     with StreamClient(service.url, **options(wait_s=TIMEOUT_S)) as stream:
         assert stream.stop(TIMEOUT_S).audio_s == 1.0

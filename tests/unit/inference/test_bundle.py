@@ -20,6 +20,7 @@ from service.errors import (
     UnknownModel,
 )
 from service.inference.bundle import FILES, Bundle, file_sha256, load_bundle
+from service.inference.engine import Engine
 from service.inference.registry import (
     EMBEDDED_MODELS,
     BundleRegistry,
@@ -167,3 +168,35 @@ def test_of_the_embedded_bundles_the_one_with_the_smallest_error_answers(folder:
 def test_two_bundles_of_one_name_are_refused(folder: Path) -> None:
     with pytest.raises(BundleCorrupt, match="any-array"):
         BundleRegistry([load_bundle(folder), load_bundle(folder)])
+
+
+@pytest.mark.parametrize(
+    "name", ["../../etc/passwd", "/etc/passwd", "a/b", "..", ".hidden", "a\nb"]
+)
+def test_a_manifest_names_no_file_elsewhere(folder: Path, name: str) -> None:
+    edit(folder, lambda fields: fields["files"].update({name: "0" * 64}))
+    with pytest.raises(BundleCorrupt, match="files"):
+        load_bundle(folder)
+
+
+@pytest.mark.parametrize("place", ["weights.bin", "../secret.bin", "{folder}/../secret.bin"])
+def test_a_graph_that_wants_further_files_is_refused(tmp_path: Path, place: str) -> None:
+    """ONNX may keep tensors in files beside the graph, which no hash would cover."""
+    onnx = pytest.importorskip("onnx", reason="needs onnx")
+    folder = tmp_path / "bundle"
+    folder.mkdir()
+    for path in (folder / "weights.bin", tmp_path / "secret.bin"):
+        path.write_bytes(np.arange(4, dtype=np.float32).tobytes())
+    float32 = onnx.TensorProto.FLOAT
+    outside = onnx.TensorProto.EXTERNAL
+    tensor = onnx.TensorProto(name="w", data_type=float32, dims=[4], data_location=outside)
+    for key, value in {"location": place.format(folder=folder), "length": "16"}.items():
+        entry = tensor.external_data.add()
+        entry.key, entry.value = key, value
+    ends = [onnx.helper.make_tensor_value_info(name, float32, [4]) for name in "xy"]
+    node = onnx.helper.make_node("Add", ["x", "w"], ["y"])
+    graph = onnx.helper.make_graph([node], "g", ends[:1], ends[1:], [tensor])
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 17)])
+    model.ir_version = 8
+    with pytest.raises(BundleCorrupt, match=r"graph\.onnx"):
+        Engine(model.SerializeToString(), "graph.onnx")

@@ -283,3 +283,19 @@ def test_many_threads_may_store_at_once(profile: NoiseCovariance, tmp_path: Path
         thread.join()
     assert len(store.all()) == len(list(tmp_path.iterdir())) == 5
     assert len(refused) == 9  # the names without room, three times each
+
+
+def test_the_profiles_together_have_a_bound_in_bytes(
+    profile: NoiseCovariance, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A profile of the most microphones has 500 times the bytes of one of four."""
+    room = 2 * profile.covariance.nbytes
+    store = NoiseStore(tmp_path, max_bytes=room)
+    store.put("a", profile)
+    store.put("b", profile)
+    store.put("b", profile)  # in place of itself
+    with pytest.raises(NoiseStoreFull, match="MB"):
+        store.put("c", profile)
+    assert [each.name for each in NoiseStore(tmp_path, max_bytes=room).all()] == ["a", "b"]
+    assert [each.name for each in NoiseStore(tmp_path, max_bytes=room // 2).all()] == ["a"]
+    assert "more noise profiles than are kept" in caplog.text
