@@ -12,6 +12,7 @@ from starlette.types import ASGIApp
 
 from service import __version__
 from service.api import admin, catalog, localize, metrics, noise, page, probes, sessions, stream
+from service.api.deadlines import BodyDeadline
 from service.api.guard import Guard
 from service.api.guard_contract import document_guard
 from service.api.limits import BodyLimit
@@ -38,6 +39,9 @@ TAGS = [
     {"name": "service", "description": "Web page and probes."},
 ]
 
+PARTS = (localize, stream, sessions, noise, catalog, admin, probes, metrics, page)
+"""Modules with a router each"""
+
 
 class DocumentedApp(FastAPI):
     """FastAPI whose requests are watched, and whose document has ``Problem`` and the keys.
@@ -47,11 +51,22 @@ class DocumentedApp(FastAPI):
 
     def build_middleware_stack(self) -> ASGIApp:
         """Starlette's own, watched from outside of its answer to a defect."""
-        return RequestWatch(super().build_middleware_stack(), self.state.service.metrics)
+        paths = [route.path for part in PARTS for route in part.router.routes]
+        documents = [path for path in (self.openapi_url, self.docs_url) if path]
+        stack = super().build_middleware_stack()
+        return RequestWatch(stack, self.state.service.metrics, [*documents, *paths])
 
     def openapi(self) -> dict[str, Any]:
         document = super().openapi()
-        document["components"]["schemas"].setdefault("Problem", Problem.model_json_schema())
+        schemas = document["components"]["schemas"]
+        schemas.setdefault("Problem", Problem.model_json_schema())
+        # FastAPI promises its own 422 wherever there is a parameter, were it any text.
+        for name in ("HTTPValidationError", "ValidationError"):
+            schemas.pop(name, None)
+        for path in document["paths"].values():
+            for operation in path.values():
+                if operation["responses"].get("422", {}).get("description") == "Validation Error":
+                    del operation["responses"]["422"]
         document_guard(document)
         return document
 
@@ -82,10 +97,11 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
         generate_unique_id_function=_operation_id,
     )
     app.state.service = state
+    app.add_middleware(BodyDeadline, seconds=settings.body_timeout)
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
     app.add_middleware(Guard, settings=settings, keys=state.keys)
     install_problem_handlers(app)
-    for each in (localize, stream, sessions, noise, catalog, admin, probes, metrics, page):
+    for each in PARTS:
         app.include_router(each.router)
     return app
 

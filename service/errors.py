@@ -13,7 +13,7 @@ DoaError
 │  ├─ UnknownNoise · NoiseMismatch · NoiseProfileInvalid · NoiseCalibrationFailed
 │  └─ NoiseStoreFull
 ├─ UploadError
-│  └─ MissingAudio · UploadTooLarge · UnsupportedMediaType
+│  └─ MissingAudio · UploadTooLarge · UnsupportedMediaType · RequestTimeout
 ├─ AccessError
 │  ├─ Unauthorized ─ KeyMissing · KeyUnknown · KeyExpired
 │  └─ RoleMissing · KeyInAddress · HostRefused · OriginRefused
@@ -240,6 +240,12 @@ class UnsupportedMediaType(UploadError):
     """The body's content type is neither a form nor audio."""
 
     code, status, title = "media_type_unsupported", 415, "Unsupported media type"
+
+
+class RequestTimeout(UploadError):
+    """The request came too slowly."""
+
+    code, status, title = "request_timeout", 408, "Request timeout"
 
 
 class AccessError(DoaError):

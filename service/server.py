@@ -15,6 +15,7 @@ from fastapi import FastAPI
 from service.api.hosts import is_loopback
 from service.api.state import ServiceState
 from service.app import create_app
+from service.connections import HttpProtocol, limit_untaken
 from service.errors import ReloadRefused
 from service.logs import configure_logging, server_log_level
 from service.settings import Settings
@@ -49,6 +50,8 @@ class Server(uvicorn.Server):
         await self._state.load()
         await self._state.start_workers()
         await super().startup(sockets)
+        for listening in (each for server in self.servers for each in server.sockets):
+            limit_untaken(listening)
         with suppress(NotImplementedError, ValueError, RuntimeError):  # no signals there
             asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, self._hang_up)
         if self._announce and self.started:
@@ -105,17 +108,24 @@ def warn_if_open(settings: Settings) -> None:
 def worth_a_line(record: logging.LogRecord) -> bool:
     """Whether uvicorn's line is worth one; the application logs requests and streams itself.
 
-    uvicorn takes a handshake that was refused with a response for one that was forgotten, and
-    shows handshakes with their query.
+    uvicorn takes a handshake that was refused with a response for one that was forgotten,
+    shows handshakes with their query, and a client's text that is no UTF-8 with a traceback.
     """
     return not str(record.msg).startswith(
-        ('%s - "WebSocket ', "connection ", "ASGI callable returned without completing handshake")
+        (
+            '%s - "WebSocket ',
+            "connection ",
+            "ASGI callable returned without completing handshake",
+            "Invalid UTF-8 sequence received from client",
+        )
     )
 
 
 def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
     """How uvicorn runs the application."""
     logging.getLogger("uvicorn.error").addFilter(worth_a_line)
+    # What is wrong with a form is said to its sender; others could fill the log with it.
+    logging.getLogger("python_multipart").setLevel(logging.ERROR)
     return uvicorn.Config(
         app,
         host=settings.host,
@@ -125,6 +135,7 @@ def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
         access_log=False,
         server_header=False,
         timeout_graceful_shutdown=GRACE + FAREWELL,
+        http=HttpProtocol,
         ws="websockets-sansio",
         ws_max_size=WS_MAX_SIZE,
         ws_per_message_deflate=False,

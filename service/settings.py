@@ -71,6 +71,8 @@ class Settings(BaseSettings):
     """Seconds without progress after which the worker of a recording is ended"""
     max_upload_bytes: int = Field(512 * 2**20, ge=1024)
     """Largest request body in bytes"""
+    body_timeout: float = Field(30.0, gt=0, le=86_400)
+    """Seconds that a request's body may fall behind 500 bytes a second, silence included"""
     max_seconds: float = Field(3600.0, gt=0, le=86_400)
     """Longest recording in seconds"""
     max_channels: int = Field(64, ge=2, le=1024)

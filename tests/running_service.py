@@ -13,6 +13,7 @@ from pathlib import Path
 
 from scripted_service import TIMEOUT_S
 
+from service.api.state import ServiceState
 from service.app import create_app
 from service.server import Server, server_config
 from service.settings import Settings
@@ -61,9 +62,15 @@ class RunningService:
         self.url = f"http://127.0.0.1:{self.port}"
 
     @property
+    def state(self) -> ServiceState:
+        """What its endpoints share."""
+        state: ServiceState = self._app.state.service
+        return state
+
+    @property
     def worker_pids(self) -> list[int]:
         """Of the processes that compute streams."""
-        return self._app.state.service.stream_workers.pids
+        return self.state.stream_workers.pids
 
     def stop(self) -> None:
         self._server.should_exit = True

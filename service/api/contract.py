@@ -23,6 +23,7 @@ from service.errors import (
     NotAudio,
     NotReady,
     Overloaded,
+    RequestTimeout,
     TooManyChannels,
     TooManySources,
     TruncatedAudio,
@@ -40,6 +41,7 @@ from service.errors import (
 LOCALIZE_ERRORS: tuple[type[DoaError], ...] = (
     UploadError,
     UploadTooLarge,
+    RequestTimeout,
     UnsupportedMediaType,
     MissingAudio,
     NotAudio,

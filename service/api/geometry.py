@@ -38,8 +38,11 @@ def read_array(text: str) -> MicrophoneArray:
             f"array has no field {unknown[0][:MAX_NAME]!r}: its fields are positions_m and name"
         )
     name = fields.get("name", "custom")
-    if not isinstance(name, str) or not 0 < len(name) <= MAX_NAME:
-        raise InvalidOption(f"the array's name must be text of at most {MAX_NAME} characters")
+    # Not printable are surrogates, too, which JSON can spell and UTF-8 cannot.
+    if not isinstance(name, str) or not 0 < len(name) <= MAX_NAME or not name.isprintable():
+        raise InvalidOption(
+            f"the array's name must be text of at most {MAX_NAME} printable characters"
+        )
     if "positions_m" in fields:
         return MicrophoneArray(name, _positions(fields["positions_m"]), "the request")
     if "name" in fields:

@@ -17,6 +17,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from service.api.hosts import check_host, is_loopback
 from service.api.origins import SAFE_METHODS, check_origin
 from service.api.problems import problem_response
+from service.api.requests import route_path
 from service.auth import ANYONE, Keys
 from service.errors import DoaError, KeyInAddress
 from service.key_file import ROLES, Key, Role
@@ -100,7 +101,7 @@ class Guard:
         if self._settings.hosts or self._only_here:
             check_host(scope, headers.get("host", ""), self._settings.hosts)
         _refuse_keys_in_address(scope)
-        roles = needed_roles(_route_path(scope))
+        roles = needed_roles(route_path(scope))
         key = ANYONE
         if roles and _leads_somewhere(scope):
             key = self._keys.check(self._keys.authenticate(_token(scope, headers)), *roles)
@@ -147,17 +148,10 @@ def _refuse_keys_in_address(scope: Scope) -> None:
 
 def _leads_somewhere(scope: Scope) -> bool:
     """False where no endpoint has this path: then 404 needs no key."""
-    if _first_part(_route_path(scope)) in NEEDED:
+    if _first_part(route_path(scope)) in NEEDED:
         return True
     routes = cast(Starlette, scope["app"]).routes
     return any(route.matches(scope)[0] is not Match.NONE for route in routes)
-
-
-def _route_path(scope: Scope) -> str:
-    """The path as routes see it: without the prefix under which a proxy serves the application."""
-    path: str = scope["path"]
-    prefix: str = scope.get("root_path", "")
-    return path[len(prefix) :] if path.startswith(f"{prefix}/") else path
 
 
 def _first_part(path: str) -> str:

@@ -20,6 +20,7 @@ from service.errors import (
     InvalidOption,
     NoiseProfileInvalid,
     NoiseStoreFull,
+    RequestTimeout,
     UnknownNoise,
     UploadTooLarge,
 )
@@ -93,7 +94,12 @@ async def get_noise(request: Request, name: Name) -> Response:
     "/noise/{name}",
     summary="Store a noise profile",
     responses=problem_responses(
-        InvalidOption, NoiseProfileInvalid, NoiseStoreFull, UploadTooLarge, DiskFull
+        InvalidOption,
+        NoiseProfileInvalid,
+        NoiseStoreFull,
+        RequestTimeout,
+        UploadTooLarge,
+        DiskFull,
     ),
     openapi_extra={"requestBody": {"required": True, "content": {MEDIA_TYPE: BINARY}}},
 )

@@ -38,7 +38,12 @@ async def readyz(request: Request) -> StatusAnswer:
     return StatusAnswer()
 
 
-@router.get("/asyncapi.json", summary="The stream's contract", response_class=Response)
+@router.get(
+    "/asyncapi.json",
+    summary="The stream's contract",
+    response_class=Response,
+    responses={200: {"content": {"application/json": {"schema": {"type": "object"}}}}},
+)
 async def asyncapi() -> Response:
     """The AsyncAPI document of the WebSocket `/stream`."""
     return Response(document_json(), media_type="application/json")

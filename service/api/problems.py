@@ -138,8 +138,10 @@ async def _on_disconnect(request: Request, error: Exception) -> Response:
 
 
 async def _on_unexpected(request: Request, error: Exception) -> Response:
-    """Say nothing of the cause; the server logs the traceback."""
-    return problem_response(DoaError(UNEXPECTED))
+    """Say nothing of the cause; the server logs the traceback and closes the connection."""
+    response = problem_response(DoaError(UNEXPECTED))
+    response.headers["Connection"] = "close"
+    return response
 
 
 def _headers(error: DoaError) -> dict[str, str]:

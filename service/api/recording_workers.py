@@ -184,11 +184,18 @@ class RecordingWorkers:
         """Start the first worker and wait until it is ready."""
         await anyio.to_thread.run_sync(lambda: self._give_back(self._take()))
 
-    def renew(self, setup: Setup) -> None:
-        """Let new recordings go to workers with a new setup; running ones are finished."""
+    def prepare(self, setup: Setup) -> RecordingWorker:
+        """A worker with a new setup that is ready, for ``renew``; WorkerLost if it does not come
+        up."""
+        worker = RecordingWorker(setup, self._stall_s)
+        worker.wait_ready()
+        return worker
+
+    def renew(self, prepared: RecordingWorker) -> None:
+        """Let new recordings go to workers with this one's setup; running ones are finished."""
         with self._lock:
-            self.setup = setup
-            idle, self._idle = self._idle, []
+            self.setup = prepared.setup
+            idle, self._idle = self._idle, [prepared]
         for worker in idle:
             worker.end()
 

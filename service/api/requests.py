@@ -6,9 +6,11 @@ import logging
 import re
 import secrets
 import time
+from collections.abc import Iterable
 from http import HTTPStatus
 
 from starlette.datastructures import Headers
+from starlette.routing import compile_path
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.logs import request_id
@@ -31,11 +33,18 @@ ANSWERS = ("http.response.start", "websocket.http.response.start", "websocket.ac
 
 
 class RequestWatch:
-    """ASGI middleware around everything, the answer to a defect included."""
+    """ASGI middleware around everything, the answer to a defect included.
 
-    def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
+    Parameters
+    ----------
+    templates : iterable of str
+        Paths of the routes, as ``/models/{name}``; all others are counted as ``other``.
+    """
+
+    def __init__(self, app: ASGIApp, metrics: Metrics, templates: Iterable[str]) -> None:
         self.app = app
         self._metrics = metrics
+        self._templates = {template: compile_path(template)[0] for template in templates}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
@@ -96,17 +105,22 @@ class RequestWatch:
         log.log(level, "%s %s %d", fields["method"], path, status, extra=fields)
 
     def _count(self, scope: Scope, status: int, seconds: float | None) -> None:
-        self._metrics.requested(_method(scope), route_template(scope), status, seconds)
+        self._metrics.requested(_method(scope), self._template(scope), status, seconds)
+
+    def _template(self, scope: Scope) -> str:
+        """That of the path: a request that was refused has met no route."""
+        path = route_path(scope)
+        if path in self._templates:
+            return path
+        matching = (name for name, regex in self._templates.items() if regex.match(path))
+        return next(matching, OTHER)
 
 
-def route_template(scope: Scope) -> str:
-    """The path of the route that took the request, ``/models/{name}``, or ``other``."""
-    route = scope.get("route")
-    if route is not None:
-        return str(route.path)
-    app = scope.get("app")
-    documents = (app.openapi_url, app.docs_url) if app is not None else ()
-    return scope["path"] if scope["path"] in documents else OTHER
+def route_path(scope: Scope) -> str:
+    """The path as routes see it: without the prefix under which a proxy serves the application."""
+    path: str = scope["path"]
+    prefix: str = scope.get("root_path", "")
+    return path[len(prefix) :] if path.startswith(f"{prefix}/") else path
 
 
 def _method(scope: Scope) -> str:

@@ -14,8 +14,10 @@ from starlette.responses import Response, StreamingResponse
 from service.api.catalog import NOT_FOUND
 from service.api.guard import key_of
 from service.api.outbox import message_json
+from service.api.problems import problem_responses
 from service.api.schemas import Answer
 from service.api.state import state_of
+from service.errors import InvalidOption
 from service.inference.results import Method
 from service.protocol.message import message_type
 from service.protocol.server_messages import Closing, ServerMessage, StreamError
@@ -129,6 +131,7 @@ async def session_events(request: Request, session_id: str) -> StreamingResponse
             "description": "The last ten minutes at ten results a second",
         },
         **NOT_FOUND,
+        **problem_responses(InvalidOption),
     },
 )
 async def session_export(

@@ -113,21 +113,29 @@ class ServiceState:
         async with self._reloading:
             try:
                 registry = await anyio.to_thread.run_sync(load_registry, self.settings)
-                setup = Setup(self.settings, registry.files)
                 await anyio.to_thread.run_sync(self.keys.reload)
-                await self.stream_workers.renew(setup)
+                await self._renew_workers(Setup(self.settings, registry.files))
             except DoaError as error:
                 self.metrics.reloaded(ok=False)
                 log.error("the models were not reloaded: %s", error.detail)
                 raise ReloadRefused(
                     f"{error.detail}; the models that were loaded go on serving"
                 ) from error
-            await anyio.to_thread.run_sync(self.recording_workers.renew, setup)
             self.registry = registry
         self.metrics.reloaded(ok=True)
         names = ", ".join(f"{b.manifest.name} {b.manifest.version}" for b in registry.bundles)
         log.info("the models were reloaded: %s", names)
         return registry
+
+    async def _renew_workers(self, setup: Setup) -> None:
+        """Start workers of both kinds with a new setup, then let new work go to them."""
+        prepared = await anyio.to_thread.run_sync(self.recording_workers.prepare, setup)
+        try:
+            await self.stream_workers.renew(setup)
+        except BaseException:
+            prepared.end()
+            raise
+        await anyio.to_thread.run_sync(self.recording_workers.renew, prepared)
 
     async def stop(self) -> None:
         """End all worker processes, send the last traces."""

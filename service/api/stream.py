@@ -119,8 +119,10 @@ class Connection:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
             self.session.abandon()
-            with suppress(RuntimeError, WebSocketDisconnect):  # it is closed already
-                await self._websocket.close(CloseCode.TIMEOUT)
+            # It is closed already, or a client that reads nothing does not take the close either.
+            with suppress(RuntimeError, WebSocketDisconnect, TimeoutError):
+                async with asyncio.timeout(SEND_TIMEOUT_S):
+                    await self._websocket.close(CloseCode.TIMEOUT)
             self._worker.submit(Close(self.session.id))
             self._stream_workers.release(self._worker)
             self._streams.end(self._entry)
@@ -217,7 +219,8 @@ class Connection:
                 await self._websocket.send_text(message.text)
             self._watch.sent(message.arrived)
         assert self.session.close_code is not None
-        await self._websocket.close(self.session.close_code)
+        async with asyncio.timeout(SEND_TIMEOUT_S):
+            await self._websocket.close(self.session.close_code)
 
     async def _tick(self) -> None:
         while True:

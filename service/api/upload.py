@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from tempfile import TemporaryFile
 from typing import BinaryIO
 
+from python_multipart.multipart import parse_options_header
 from starlette.datastructures import FormData, UploadFile
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -89,6 +90,7 @@ def _media_type(request: Request) -> str:
 @asynccontextmanager
 async def _form(request: Request) -> AsyncIterator[tuple[Upload, int]]:
     """A form's recording with its size in bytes, and its fields."""
+    _check_charset(request)
     limits = {"max_files": MAX_FILES, "max_fields": MAX_FIELDS, "max_part_size": MAX_FIELD_BYTES}
     try:
         form = await request.form(**limits)
@@ -100,6 +102,13 @@ async def _form(request: Request) -> AsyncIterator[tuple[Upload, int]]:
         yield Upload(audio.file, options), audio.size or 0
     finally:
         await form.close()
+
+
+def _check_charset(request: Request) -> None:
+    """Raise UploadError where the form's texts are not UTF-8: some codecs give no text at all."""
+    charset = parse_options_header(request.headers["content-type"])[1].get(b"charset", b"utf-8")
+    if charset.lower() not in (b"utf-8", b"utf8", b"us-ascii"):
+        raise UploadError(f"the form's charset is {charset.decode('latin-1')[:40]!r}: send UTF-8")
 
 
 @asynccontextmanager

@@ -135,6 +135,12 @@ SQUARE = ((1, 1, 0), (-1, 1, 0), (-1, -1, 0), (1, -1, 0))
         ({"array": "{}"}, "option_invalid", "positions_m"),
         ({"array": '{"name": 3}'}, "option_invalid", "name"),
         ({"array": '{"name": "nobody"}'}, "array_unknown", "no array preset"),
+        ({"array": '{"name": "\\ud800"}'}, "option_invalid", "printable"),
+        (
+            {"array": '{"name": "\\ud800", "positions_m": [[0.1, 0, 0], [0, 0, 0]]}'},
+            "option_invalid",
+            "printable",
+        ),
         ({"array": '{"positions_m": 3}'}, "geometry_invalid", "list with one [x, y, z]"),
         ({"array": positions((0.1, 0), (0, 0))}, "geometry_invalid", "z = 0"),
         ({"array": '{"positions_m": [["0", 0, 0], [1, 0, 0]]}'}, "geometry_invalid", "numbers"),
@@ -244,6 +250,24 @@ def test_a_bad_body(
     client: Any, request_parts: dict[str, Any], status: int, code: str, says: str
 ) -> None:
     assert_problem(client.post("/localize", **request_parts), status, code, says)
+
+
+@pytest.mark.parametrize("charset", ["punycode", "undefined", "unicode_escape", "utf-16", "x" * 99])
+def test_a_form_is_utf_8_or_refused(client: Any, charset: str) -> None:
+    """Some of Python's codecs raise errors of their own, others give text that is none."""
+    form = b'--y\r\nContent-Disposition: form-data; name="array"\r\n\r\n\\ud800\xff\r\n--y--\r\n'
+    media_type = f"multipart/form-data; boundary=y; charset={charset}"
+    response = client.post("/localize", content=form, headers={"Content-Type": media_type})
+    assert_problem(response, 400, "upload_invalid", "send UTF-8")
+
+
+@pytest.mark.parametrize("charset", ["utf-8", "UTF-8", "us-ascii"])
+def test_a_form_may_say_that_it_is_utf_8(localize: Any, sounds: Any, charset: str) -> None:
+    request = localize.client.build_request(
+        "POST", "/localize", files={"audio": good(sounds)}, data={"array": "xvf3800-4mic"}
+    )
+    request.headers["Content-Type"] += f"; charset={charset}"
+    assert localize.client.send(request).status_code == 200
 
 
 def test_a_body_without_a_length_is_counted(client: Any) -> None:

@@ -152,11 +152,18 @@ def test_requests_are_counted_by_the_template_of_their_route(client: TestClient)
     }
 
 
+def test_what_was_refused_before_its_route_is_counted_there(client: TestClient) -> None:
+    assert client.get("/models/one?key=secret").json()["code"] == "key_in_address"
+    assert counted(client, "requests_total") == {
+        '{method="GET",path="/models/{name}",status="400"}': 1
+    }
+
+
 def test_a_refused_handshake_is_counted_and_logged(
     client: TestClient, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "service")
-    with pytest.raises(WebSocketDisconnect), client.websocket_connect("/stream?token=secret"):
+    with pytest.raises(WebSocketDisconnect), client.websocket_connect("/stream?robot=secret"):
         pass
     (line,) = lines(caplog)
     assert (line["method"], line["path"], line["status"]) == ("WEBSOCKET", "/stream", 400)

@@ -210,9 +210,9 @@ def test_the_log_is_json_line_by_line_with_the_ids_and_without_a_key(tmp_path: P
         "subprotocols": ["doa.v1", f"bearer.{KEY}"],
         "additional_headers": {"X-Request-ID": "robot-7", "Authorization": f"Bearer {KEY}"},
     }
-    asyncio.run(stream(f"{process.socket}?key={KEY}", start={"client": "seven"}, **options))
+    asyncio.run(stream(f"{process.socket}?note={KEY}", start={"client": "seven"}, **options))
     answer = httpx2.get(
-        f"{process.url}/models?key={KEY}", headers={"Authorization": f"Bearer {KEY}"}
+        f"{process.url}/models?note={KEY}", headers={"Authorization": f"Bearer {KEY}"}
     )
     written = process.stop()
     lines = [json.loads(line) for line in written]

@@ -83,6 +83,7 @@ def test_every_error_of_storing_noise_is_documented_with_its_status(document: An
         (401, "key_expired"),
         (403, "role_missing"),
         (403, "origin_refused"),
+        (408, "request_timeout"),
         (409, "noise_full"),
         (421, "host_refused"),
         (429, "too_many_uploads"),

@@ -111,6 +111,7 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
         "queue": 2048,
         "stall_timeout": 2048.0,
         "max_upload_bytes": 2048,
+        "body_timeout": 2048.0,
         "max_seconds": 2048.0,
         "max_channels": 9,
         "max_sessions": 2048,

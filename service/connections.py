@@ -1,0 +1,96 @@
+"""What a connection may keep the service waiting for: uvicorn itself waits for ever.
+
+A request's head has a deadline (slow-loris), and so has what a peer does not take, by the system's
+own timer. A request's body has one in ``service.api.deadlines``, a stream's messages have one in
+``service.streaming.session``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+
+import h11
+from uvicorn.protocols.http.flow_control import CLOSE_HEADER
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from service.api.problems import problem_response
+from service.errors import RequestTimeout
+
+HEAD_TIMEOUT_S = 10.0
+"""From the connection, or from a further request's first byte, to the end of a request's head"""
+UNTAKEN_TIMEOUT_S = 20
+"""In which a peer must acknowledge some of what waits for it: behind a cut network, or a client
+that never reads, a socket and its session would else stay for a quarter of an hour or for ever"""
+
+
+class HttpProtocol(H11Protocol):
+    """uvicorn's connection, closed where what comes never becomes a request."""
+
+    _deadline: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Take a connection; its first request is due."""
+        super().connection_made(transport)
+        self._watch()
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes of a request."""
+        super().data_received(data)
+        self._watch()
+
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """Hand the connection over; uvicorn would leave a handshake that is none open for ever."""
+        super().handle_websocket_upgrade(event)
+        taken = self.transport.get_protocol()
+        if not getattr(taken, "handshake_initiated", True):
+            self.send_400_response("Invalid WebSocket handshake.")
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the connection."""
+        self._unwatch()
+        super().connection_lost(exc)
+
+    def _watch(self) -> None:
+        """Let the deadline run while no request is being answered."""
+        answering = self.cycle is not None and not self.cycle.response_complete
+        upgraded = self.transport.get_protocol() is not self  # to the WebSocket's
+        if answering or upgraded:
+            self._unwatch()
+        elif self._deadline is None:
+            self._deadline = self.loop.call_later(HEAD_TIMEOUT_S, self._too_late)
+
+    def _unwatch(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+            self._deadline = None
+
+    def _too_late(self) -> None:
+        self._deadline = None
+        begun, _ = self.conn.trailing_data
+        if begun and self.conn.our_state is h11.IDLE and not self.transport.is_closing():
+            self._say_why()
+        self.transport.close()
+
+    def _say_why(self) -> None:
+        response = problem_response(
+            RequestTimeout(f"the request's head did not end within {HEAD_TIMEOUT_S:g} s")
+        )
+        head = h11.Response(
+            status_code=response.status_code,
+            headers=[*response.raw_headers, CLOSE_HEADER],
+            reason=b"Request Timeout",
+        )
+        for event in (head, h11.Data(data=bytes(response.body)), h11.EndOfMessage()):
+            self.transport.write(self.conn.send(event))
+
+
+def limit_untaken(listening: socket.socket) -> None:
+    """End this socket's connections where the peer takes nothing (Linux: ``TCP_USER_TIMEOUT``).
+
+    Without it asyncio waits as long as TCP does to send what is left, before it closes.
+    """
+    over_tcp = listening.family in (socket.AF_INET, socket.AF_INET6)
+    if over_tcp and hasattr(socket, "TCP_USER_TIMEOUT"):
+        timeout_ms = 1000 * UNTAKEN_TIMEOUT_S
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, timeout_ms)

@@ -1,0 +1,261 @@
+"""Every status that ``openapi.yaml`` documents is real: some request gets it, as documented.
+
+Whoever documents another one adds the request to ``REQUESTS``.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from errno import ENOSPC
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import httpx2
+import numpy as np
+import pytest
+import soundfile
+import yaml
+from jsonschema import Draft202012Validator
+from running_service import RunningService
+from websockets.sync.client import connect
+
+from service.doa.presets import preset
+from service.doa.stft import Stft
+from service.doa.whitening import NoiseCovariance
+from service.errors import BundleNotFound
+from service.inference.noise_profile import noise_bytes
+from service.inference.noise_store import CAPACITY
+from service.settings import Settings
+
+DOCUMENT = yaml.safe_load((Path(__file__).parents[2] / "openapi.yaml").read_text())
+ARRAY = "respeaker-usb-4mic-v2"
+SECOND = np.random.default_rng(0).integers(-300, 300, (16_000, 4)).astype(np.int16)
+LIMIT = 2**20
+PATIENCE_S = 30.0
+"""Seconds until a hanging test fails"""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A running service, and the client that asks it."""
+
+    service: RunningService
+    client: httpx2.Client
+
+    def localize(self, content: bytes, media_type: str = "audio/wav") -> httpx2.Response:
+        parameters = {"array": ARRAY, "method": "music"}
+        headers = {"Content-Type": media_type}
+        return self.client.post("/localize", content=content, params=parameters, headers=headers)
+
+    def stream(self) -> str:
+        """The id of a stream that ended and had results."""
+        audio = {"encoding": "pcm_s16le", "sample_rate": 16_000, "channels": 4}
+        start = {"type": "start", "audio": audio, "array": {"name": ARRAY}, "method": "music"}
+        url = self.service.url.replace("http", "ws") + "/stream"
+        with connect(url, subprotocols=["doa.v1"], compression=None) as socket:  # type: ignore[list-item]
+            socket.send(json.dumps(start))
+            socket.send(SECOND[:6400].tobytes())
+            socket.send('{"type":"stop"}')
+            messages = [json.loads(text) for text in socket]
+        return str(messages[0]["session"])
+
+
+def wav(seconds: int = 1) -> bytes:
+    file = io.BytesIO()
+    soundfile.write(file, np.tile(SECOND, (seconds, 1)), 16_000, format="FLAC")
+    return file.getvalue()
+
+
+def profile() -> bytes:
+    """A noise profile, as small as it can be."""
+    stft = Stft(16_000, 16, 8)
+    covariance = np.tile(np.eye(4, dtype=np.complex64), (stft.num_bins, 1, 1))
+    return noise_bytes(NoiseCovariance(covariance, preset(ARRAY), stft, 1.0))
+
+
+State = Callable[[Subject], AbstractContextManager[None]]
+
+
+@contextmanager
+def draining(subject: Subject) -> Iterator[None]:
+    with patch.object(subject.service.state.streams, "draining", True):
+        yield
+
+
+@contextmanager
+def not_ready(subject: Subject) -> Iterator[None]:
+    registry, subject.service.state.registry = subject.service.state.registry, None
+    yield
+    subject.service.state.registry = registry
+
+
+def failing(place: str, error: Exception) -> State:
+    """A defect, or a fault of the machine, which there is no honest request for."""
+
+    @contextmanager
+    def state(_: Subject) -> Iterator[None]:
+        with patch(place, side_effect=error):
+            yield
+
+    return state
+
+
+BROKEN = failing("service.api.localize.read_options", ZeroDivisionError())
+DISK_FULL = failing(
+    "service.inference.noise_store.NoiseStore.put", OSError(ENOSPC, "No space left on device")
+)
+NO_BUNDLE = failing("service.api.state.load_registry", BundleNotFound("no such folder"))
+
+Ask = Callable[[Subject], httpx2.Response]
+
+
+def ask(method: str, path: str, during: State | None = None, **request: Any) -> Ask:
+    """A request, in whatever state the service is to be in."""
+
+    def send(subject: Subject) -> httpx2.Response:
+        if during is None:
+            return subject.client.request(method, path, **request)
+        with during(subject):
+            return subject.client.request(method, path, **request)
+
+    return send
+
+
+def named(method: str, **request: Any) -> Ask:
+    """A request about a noise profile that there is."""
+
+    def send(subject: Subject) -> httpx2.Response:
+        assert subject.client.put("/noise/one", content=profile()).status_code == 200
+        return subject.client.request(method, "/noise/one", **request)
+
+    return send
+
+
+def of_a_stream(path: str, **request: Any) -> Ask:
+    def send(subject: Subject) -> httpx2.Response:
+        return subject.client.get(f"/sessions/{subject.stream()}/{path}", **request)
+
+    return send
+
+
+def one_too_many(subject: Subject) -> httpx2.Response:
+    """A noise profile more than are kept."""
+    names = [f"full-{index}" for index in range(CAPACITY + 1)]
+    for name in names:
+        answer = subject.client.put(f"/noise/{name}", content=profile())
+        if answer.status_code != 200:
+            break
+    for name in names:
+        subject.client.delete(f"/noise/{name}")
+    return answer
+
+
+def while_busy(subject: Subject) -> httpx2.Response:
+    """A recording while as many as may are being localized."""
+    release, recording = threading.Event(), wav(5)
+
+    def occupy() -> None:
+        with httpx2.Client(base_url=subject.service.url, timeout=PATIENCE_S) as client:
+            busy = Subject(subject.service, client)
+            while not release.is_set():
+                busy.localize(recording)
+
+    others = [threading.Thread(target=occupy) for _ in range(3)]
+    for each in others:
+        each.start()
+    try:
+        while (answer := subject.localize(wav())).status_code == 200:
+            pass
+    finally:
+        release.set()
+        for each in others:
+            each.join(PATIENCE_S)
+    return answer
+
+
+REQUESTS: dict[tuple[str, str, int], Ask] = {
+    ("post", "/localize", 200): lambda s: s.localize(wav()),
+    ("post", "/localize", 400): lambda s: s.localize(b"x", "multipart/form-data"),
+    ("post", "/localize", 413): lambda s: s.localize(bytes(LIMIT + 1)),
+    ("post", "/localize", 415): lambda s: s.localize(b"x", "text/plain"),
+    ("post", "/localize", 422): lambda s: s.localize(b""),
+    ("post", "/localize", 500): ask("POST", "/localize", BROKEN, content=b"x"),
+    ("post", "/localize", 503): while_busy,
+    ("get", "/sessions", 200): ask("GET", "/sessions"),
+    ("get", "/sessions/{session_id}/events", 200): of_a_stream("events"),
+    ("get", "/sessions/{session_id}/events", 404): ask("GET", "/sessions/none/events"),
+    ("get", "/sessions/{session_id}/export", 200): of_a_stream("export"),
+    ("get", "/sessions/{session_id}/export", 404): ask("GET", "/sessions/none/export"),
+    ("get", "/sessions/{session_id}/export", 422): of_a_stream("export", params={"format": "xml"}),
+    ("get", "/noise", 200): ask("GET", "/noise"),
+    ("get", "/noise/{name}", 200): named("GET"),
+    ("get", "/noise/{name}", 404): ask("GET", "/noise/none"),
+    ("put", "/noise/{name}", 200): named("PUT", content=profile()),
+    ("put", "/noise/{name}", 409): one_too_many,
+    ("put", "/noise/{name}", 413): ask("PUT", "/noise/one", content=bytes(LIMIT + 1)),
+    ("put", "/noise/{name}", 422): ask("PUT", "/noise/one", content=b"x"),
+    ("put", "/noise/{name}", 503): ask("PUT", "/noise/one", DISK_FULL, content=profile()),
+    ("delete", "/noise/{name}", 204): named("DELETE"),
+    ("delete", "/noise/{name}", 404): ask("DELETE", "/noise/none"),
+    ("get", "/models", 200): ask("GET", "/models"),
+    ("get", "/models", 503): ask("GET", "/models", not_ready),
+    ("get", "/models/{name}", 200): ask("GET", "/models/any-array"),
+    ("get", "/models/{name}", 404): ask("GET", "/models/none"),
+    ("get", "/models/{name}", 503): ask("GET", "/models/any-array", not_ready),
+    ("get", "/arrays", 200): ask("GET", "/arrays"),
+    ("post", "/admin/reload", 200): ask("POST", "/admin/reload"),
+    ("post", "/admin/reload", 409): ask("POST", "/admin/reload", NO_BUNDLE),
+    ("post", "/admin/reload", 503): ask("POST", "/admin/reload", draining),
+    ("get", "/livez", 200): ask("GET", "/livez"),
+    ("get", "/readyz", 200): ask("GET", "/readyz"),
+    ("get", "/readyz", 503): ask("GET", "/readyz", draining),
+    ("get", "/asyncapi.json", 200): ask("GET", "/asyncapi.json"),
+    ("get", "/metrics", 200): ask("GET", "/metrics"),
+    ("get", "/", 200): ask("GET", "/"),
+}
+"""By method, path and status: a request that gets it"""
+
+DOCUMENTED = {
+    (method, path, int(status)): response
+    for path, operations in DOCUMENT["paths"].items()
+    for method, operation in operations.items()
+    for status, response in operation["responses"].items()
+}
+
+
+@pytest.fixture(scope="module")
+def subject() -> Iterator[Subject]:
+    service = RunningService(settings=Settings(workers=1, queue=0, max_upload_bytes=LIMIT))
+    with httpx2.Client(base_url=service.url, timeout=PATIENCE_S) as client:
+        yield Subject(service, client)
+    service.stop()
+
+
+def test_every_documented_status_has_its_request() -> None:
+    assert set(REQUESTS) == set(DOCUMENTED)
+
+
+@pytest.mark.parametrize("place", REQUESTS, ids=lambda place: " ".join(map(str, place)))
+def test_a_documented_status_is_real(place: tuple[str, str, int], subject: Subject) -> None:
+    method, path, status = place
+    answer = REQUESTS[place](subject)
+    assert answer.status_code == status, answer.text
+    assert answer.request.method.lower() == method
+    assert re.fullmatch(re.sub(r"\{\w+\}", "[^/]+", path), answer.request.url.path)
+    response = DOCUMENTED[place]
+    assert set(response.get("headers", {})) <= {name.title() for name in answer.headers}
+    if "content" not in response:
+        assert answer.content == b""
+        return
+    media_type = answer.headers["content-type"].partition(";")[0]
+    schema = response["content"][media_type].get("schema", {})
+    if media_type.endswith("json"):
+        document = {**schema, "components": DOCUMENT["components"]}
+        Draft202012Validator(document).validate(answer.json())
