@@ -3,7 +3,8 @@
 DoaError
 ├─ ConfigError
 ├─ AudioError
-│  ├─ NotAudio · EmptyAudio · TruncatedAudio · NonFiniteAudio · DecodingFailed
+│  ├─ NotAudio · EmptyAudio · TruncatedAudio · NonFiniteAudio · DecodingFailed ·
+│  │  RecordingUnreadable
 │  ├─ ChannelMismatch · TooManyChannels · UnsupportedSampleRate · AudioTooLong
 ├─ ArrayError
 │  └─ UnknownArray · InvalidGeometry · InvalidChannelMap
@@ -96,6 +97,12 @@ class DecodingFailed(AudioError):
     """The recording crashed its decoder, or kept it from ever getting on."""
 
     code, title = "decoding_failed", "Decoding failed"
+
+
+class RecordingUnreadable(AudioError):
+    """The file of a recording cannot be opened where it is to be localized."""
+
+    code, title = "recording_unreadable", "Unreadable recording"
 
 
 class ChannelMismatch(AudioError):

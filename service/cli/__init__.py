@@ -4,7 +4,8 @@ A command module has ``NAME``, ``SUMMARY``, ``configure(parser)`` and ``run(args
 imports what it needs inside of functions, so that ``--help`` is quick and ``check`` runs without
 onnxruntime; only the chosen command is configured. To add one, append its module to ``COMMANDS``.
 
-Exit codes: 0 done, 1 ``check`` found something, 2 wrong usage or unusable input, 130 interrupted.
+Exit codes: 0 done, 1 ``check`` found something or ``batch`` met recordings that cannot be used,
+2 wrong usage or unusable input, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from service import __version__
-from service.cli import arrays, bench, bundle, check, key, localize, noise, serve, stream
+from service.cli import arrays, batch, bench, bundle, check, key, localize, noise, serve, stream
 from service.errors import DoaError
 
 
@@ -33,7 +34,9 @@ class Command(Protocol):
     def run(self) -> Callable[[argparse.Namespace], int]: ...
 
 
-COMMANDS: tuple[Command, ...] = (serve, localize, check, noise, bundle, arrays, bench, stream, key)
+COMMANDS: tuple[Command, ...] = (
+    serve, localize, batch, check, noise, bundle, arrays, bench, stream, key,
+)  # fmt: skip
 
 FAILED = 2
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 from service.errors import ChannelMismatch, InvalidOption
 
 if TYPE_CHECKING:
-    from service.audio import Recording
+    from service.audio import AudioLimits, Recording
     from service.doa.array import MicrophoneArray
 
 MAX_SECONDS = 86_400.0  # the limits of the service protect others; this is the user's own machine
@@ -35,6 +35,11 @@ class Channels(Protocol):
 def add_recording(parser: argparse.ArgumentParser) -> None:
     """The positional FILE and ``--channel-map``."""
     parser.add_argument("file", type=Path, metavar="FILE", help="a multichannel WAV or FLAC file")
+    add_channel_map(parser)
+
+
+def add_channel_map(parser: argparse.ArgumentParser) -> None:
+    """``--channel-map``."""
     parser.add_argument(
         "--channel-map",
         metavar="0,1,...",
@@ -74,11 +79,18 @@ def given_key(argument: str | None) -> str | None:
         raise InvalidOption(f"{argument[1:]} holds no key") from None
 
 
+def generous_limits() -> AudioLimits:
+    """What a recording of the user's own may claim."""
+    from service.audio import AudioLimits
+
+    return AudioLimits(max_channels=MAX_CHANNELS, max_seconds=MAX_SECONDS)
+
+
 def open_recording(path: Path) -> Recording:
     """Open a file with generous limits."""
-    from service.audio import AudioLimits, Recording
+    from service.audio import Recording
 
-    return Recording.open(path, AudioLimits(max_channels=MAX_CHANNELS, max_seconds=MAX_SECONDS))
+    return Recording.open(path, generous_limits())
 
 
 def array_text(argument: str) -> str:

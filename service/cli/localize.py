@@ -5,16 +5,15 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from service.cli.inputs import add_array, add_recording, array_text, open_recording
+from service.cli.inputs import add_array, add_recording, open_recording
+from service.cli.options import add_options, read_request
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from service.api.options import LocalizeRequest
     from service.inference.results import LocalizeOptions, RecordingResult
 
 NAME = "localize"
@@ -24,34 +23,9 @@ LONG_S = 20.0  # shorter recordings are done before a progress bar can be read
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    from service.inference.results import METHODS
-
     add_recording(parser)
     add_array(parser)
-    parser.add_argument("--method", choices=METHODS, help="neural where a model fits the array")
-    parser.add_argument("--model", metavar="NAME", help="the model bundle")
-    parser.add_argument(
-        "--models", metavar="FOLDER", help="folders of further bundles, separated as in PATH"
-    )
-    parser.add_argument("--num-sources", metavar="M", help="the known number of sources")
-    parser.add_argument("--max-sources", metavar="M", help="most sources, where it is estimated")
-    parser.add_argument("--window", dest="window_s", metavar="SECONDS", help="audio per result")
-    parser.add_argument("--hop", dest="hop_s", metavar="SECONDS", help="time between results")
-    parser.add_argument(
-        "--yaw", dest="yaw_deg", metavar="DEGREES", help="how far the array is turned on the robot"
-    )
-    parser.add_argument(
-        "--exclude",
-        dest="exclude_deg",
-        metavar="FROM:TO,...",
-        help="sectors in degrees in which nothing is reported",
-    )
-    parser.add_argument(
-        "--noise",
-        type=Path,
-        metavar="NPZ",
-        help="a profile of the robot's own noise (neuralmusic noise), which is taken away",
-    )
+    add_options(parser)
     parser.add_argument("--plot", type=Path, metavar="PNG", help="write a picture")
     parser.add_argument("--json", action="store_true", help="print the HTTP interface's answer")
     parser.add_argument(
@@ -60,17 +34,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    asked = _request(args)
+    asked = read_request(args, spectrum=str(args.spectrum))
     if args.plot:
         from service.plot import check_drawable
 
         check_drawable(args.plot)  # before the work, not after it
-    options = asked.options
-    if args.noise:
-        from service.inference.noise_profile import load_noise
-
-        options = replace(options, noise=load_noise(args.noise))
-    result = _localize(args, options)
+    result = _localize(args, asked.options)
     if args.plot:
         from service.plot import save_figure
 
@@ -84,17 +53,6 @@ def run(args: argparse.Namespace) -> int:
 
         print_result(result)
     return 0
-
-
-def _request(args: argparse.Namespace) -> LocalizeRequest:
-    """The options, read and checked as those of a request."""
-    from service.api.options import read_options
-
-    pairs = [("array", array_text(args.array)), ("spectrum", str(args.spectrum))]
-    numbers = ("num_sources", "max_sources", "window_s", "hop_s", "yaw_deg", "exclude_deg")
-    names = ("channel_map", "method", "model", *numbers)
-    given = [(name, getattr(args, name)) for name in names]
-    return read_options([*pairs, *((name, text) for name, text in given if text is not None)])
 
 
 def _localize(args: argparse.Namespace, options: LocalizeOptions) -> RecordingResult:

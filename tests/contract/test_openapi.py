@@ -17,6 +17,7 @@ from service.errors import (
     NoiseCalibrationFailed,
     NoiseProfileInvalid,
     NoiseStoreFull,
+    RecordingUnreadable,
     StreamProtocolError,
 )
 from service.openapi import document_yaml
@@ -67,6 +68,7 @@ def test_every_error_of_a_request_is_documented_with_its_status(document: Any) -
         ConfigError,
         NoiseCalibrationFailed,
         NoiseProfileInvalid,
+        RecordingUnreadable,
         StreamProtocolError,
     )
     expected = {
