@@ -32,6 +32,7 @@ from service.doa.whitening import NoiseCovariance
 from service.errors import BundleNotFound
 from service.inference.noise_profile import noise_bytes
 from service.inference.noise_store import CAPACITY
+from service.key_file import Key, new_token, token_sha256
 from service.settings import Settings
 
 DOCUMENT = yaml.safe_load((Path(__file__).parents[2] / "openapi.yaml").read_text())
@@ -48,6 +49,8 @@ class Subject:
 
     service: RunningService
     client: httpx2.Client
+    guarded: httpx2.Client
+    """Of a service with keys"""
 
     def localize(self, content: bytes, media_type: str = "audio/wav") -> httpx2.Response:
         parameters = {"array": ARRAY, "method": "music"}
@@ -163,7 +166,7 @@ def while_busy(subject: Subject) -> httpx2.Response:
 
     def occupy() -> None:
         with httpx2.Client(base_url=subject.service.url, timeout=PATIENCE_S) as client:
-            busy = Subject(subject.service, client)
+            busy = Subject(subject.service, client, subject.guarded)
             while not release.is_set():
                 busy.localize(recording)
 
@@ -180,6 +183,28 @@ def while_busy(subject: Subject) -> httpx2.Response:
     return answer
 
 
+def stopped_by_the_guard(method: str, path: str, status: int) -> Ask:
+    """A request that never comes to its endpoint."""
+    place = re.sub(r"\{\w+\}", "one", path)
+
+    def send(subject: Subject) -> httpx2.Response:
+        if status == 400:
+            return subject.client.request(method, place, params={"key": "x"})
+        if status == 421:
+            return subject.client.request(method, place, headers={"Host": "evil.example"})
+        if status == 403 and method != "get":
+            return subject.client.request(method, place, headers={"Origin": "http://evil.example"})
+        key = {401: "wrong", 403: KEYS[path.startswith(("/sessions", "/metrics"))], 429: KEYS[1]}[
+            status
+        ]
+        headers = {"Authorization": f"Bearer {key}"}
+        return subject.guarded.request(method, place, headers=headers)
+
+    return send
+
+
+KEYS = (new_token(), new_token())
+"""Of one who watches, and of one who may send recordings, but none at a time"""
 REQUESTS: dict[tuple[str, str, int], Ask] = {
     ("post", "/localize", 200): lambda s: s.localize(wav()),
     ("post", "/localize", 400): lambda s: s.localize(b"x", "multipart/form-data"),
@@ -230,11 +255,37 @@ DOCUMENTED = {
 }
 
 
+GUARDED = {
+    place: stopped_by_the_guard(*place)
+    for place in DOCUMENTED
+    if place not in REQUESTS and place[2] in (400, 401, 403, 421, 429)
+}
+REQUESTS |= GUARDED
+
+
 @pytest.fixture(scope="module")
-def subject() -> Iterator[Subject]:
+def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService]:
+    file = tmp_path_factory.mktemp("keys") / "keys.jsonl"
+    watcher, sender = map(token_sha256, KEYS)
+    lines = (
+        Key(name="watcher", sha256=watcher, roles=("watch",)).line,
+        Key(name="sender", sha256=sender, roles=("localize",), max_uploads=0).line,
+    )
+    file.write_text("\n".join(lines))
+    file.chmod(0o600)
+    service = RunningService(settings=Settings(workers=1, keys=file))
+    yield service
+    service.stop()
+
+
+@pytest.fixture(scope="module")
+def subject(guarded: RunningService) -> Iterator[Subject]:
     service = RunningService(settings=Settings(workers=1, queue=0, max_upload_bytes=LIMIT))
-    with httpx2.Client(base_url=service.url, timeout=PATIENCE_S) as client:
-        yield Subject(service, client)
+    with (
+        httpx2.Client(base_url=service.url, timeout=PATIENCE_S) as client,
+        httpx2.Client(base_url=guarded.url, timeout=PATIENCE_S) as with_keys,
+    ):
+        yield Subject(service, client, with_keys)
     service.stop()
 
 
@@ -250,7 +301,7 @@ def test_a_documented_status_is_real(place: tuple[str, str, int], subject: Subje
     assert answer.request.method.lower() == method
     assert re.fullmatch(re.sub(r"\{\w+\}", "[^/]+", path), answer.request.url.path)
     response = DOCUMENTED[place]
-    assert set(response.get("headers", {})) <= {name.title() for name in answer.headers}
+    assert {name.lower() for name in response.get("headers", {})} <= set(answer.headers)
     if "content" not in response:
         assert answer.content == b""
         return
