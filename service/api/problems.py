@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
+from starlette.routing import Match
 from starlette.types import Receive, Scope, Send
 
 from service.api.requests import PROBLEM
@@ -23,6 +24,7 @@ log = logging.getLogger(__name__)
 
 MEDIA_TYPE = "application/problem+json"
 TYPE_PREFIX = "urn:neuralmusic:problem:"
+METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
 RETRY_AFTER = 2
 """Seconds; a worker localizes minutes of audio in that time"""
 
@@ -121,9 +123,20 @@ async def _on_http_exception(request: Request, error: Exception) -> Response:
         detail = f"there is nothing at {path[:80]}: GET / lists what there is"
     elif status == HTTPStatus.METHOD_NOT_ALLOWED:
         code, title = "method_not_allowed", "Method not allowed"
-        allowed = (error.headers or {}).get("Allow", "another method")
-        detail = f"{path} takes {allowed}, not {request.method}"
+        allowed = ", ".join(_allowed(request))
+        detail = f"{path[:80]} takes {allowed}, not {request.method}"
+        return ProblemResponse(code, status, title, detail, {"Allow": allowed})
     return ProblemResponse(code, status, title, detail, error.headers)
+
+
+def _allowed(request: Request) -> list[str]:
+    """The methods of a path; Starlette's own Allow knows only its first route."""
+
+    def takes(method: str) -> bool:
+        scope = {**request.scope, "method": method}
+        return any(route.matches(scope)[0] is Match.FULL for route in request.app.router.routes)
+
+    return [method for method in METHODS if takes(method)]
 
 
 async def _on_validation_error(request: Request, error: Exception) -> Response:

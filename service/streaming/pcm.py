@@ -31,7 +31,9 @@ def decode_pcm(
     else:
         integers = np.frombuffer(data, dtype="<i2" if encoding == "pcm_s16le" else "<i4")
         scale = 2.0**-15 if encoding == "pcm_s16le" else 2.0**-31
-    samples: FloatArray = integers.reshape(-1, channels)[:, channel_map].T * np.float32(scale)
+    # 32-bit integers times a float32 would be float64, which the resampler does not take.
+    chosen = integers.reshape(-1, channels)[:, channel_map].T.astype(np.float32)
+    samples: FloatArray = chosen * np.float32(scale)
     return samples
 
 

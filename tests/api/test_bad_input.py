@@ -283,7 +283,9 @@ def test_a_body_without_a_length_is_counted(client: Any) -> None:
     [
         ("GET", "/nothing", 404, "not_found", "nothing at /nothing"),
         ("GET", "/localize", 405, "method_not_allowed", "takes POST"),
-        ("DELETE", "/models", 405, "method_not_allowed", "takes GET"),
+        ("DELETE", "/models", 405, "method_not_allowed", "takes GET, not DELETE"),
+        ("POST", "/", 405, "method_not_allowed", "takes GET, HEAD, not POST"),
+        ("POST", "/noise/x", 405, "method_not_allowed", "takes GET, PUT, DELETE, not POST"),
     ],
 )
 def test_a_wrong_path_or_method(

@@ -151,21 +151,29 @@ def test_silence_and_sensor_noise_give_no_source(new_session: NewSession) -> Non
     assert {result["why_no_source"] for result in found[30:]} <= {"no_direction", "unconfirmed"}
 
 
+@pytest.mark.parametrize("rate", [RATE, 3 * RATE])
 @pytest.mark.parametrize(
     ("encoding", "dtype", "scale"),
     [("pcm_s24le", "<i4", 2**31 - 1), ("pcm_s32le", "<i4", 2**31 - 1), ("pcm_f32le", "<f4", 1.0)],
 )
 def test_every_encoding_gives_what_16_bits_give(
-    encoding: str, dtype: str, scale: float, new_session: NewSession, speech: FloatArray
+    encoding: str,
+    dtype: str,
+    scale: float,
+    rate: int,
+    new_session: NewSession,
+    square: MicrophoneArray,
+    plane_waves: Any,
 ) -> None:
-    first = speech[:, :RATE]
+    first = plane_waves(square, [70.0], seconds=1.0, rate=rate)
     values = np.round(first.T.astype(np.float64) * scale) if dtype == "<i4" else first.T
     raw = np.ascontiguousarray(values.astype(dtype)).view(np.uint8).reshape(-1, 4)
     data = raw[:, 1:].tobytes() if encoding == "pcm_s24le" else raw.tobytes()
     drivers = []
     for each, payload in ((encoding, data), ("pcm_s16le", pcm(first))):
         driver = new_session()
-        driver.send(start(audio={"encoding": each}, method="norm_music"))
+        audio = {"encoding": each, "sample_rate": rate}
+        driver.send(start(audio=audio, method="norm_music"))
         driver.audio(payload, 48_000)
         drivers.append(driver)
     ours, reference = (d.all("result")[-1]["sources"][0]["azimuth_deg"] for d in drivers)
