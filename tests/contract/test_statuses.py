@@ -283,14 +283,6 @@ DOCUMENTED = {
 }
 
 
-GUARDED = {
-    place: stopped_by_the_guard(*place)
-    for place in DOCUMENTED
-    if place not in REQUESTS and place[2] in (400, 401, 403, 421, 429)
-}
-REQUESTS |= GUARDED
-
-
 @pytest.fixture(scope="module")
 def subject(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Subject]:
     keys = tmp_path_factory.mktemp("keys") / "keys.jsonl"
