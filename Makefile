@@ -5,11 +5,12 @@ BIN := $(VENV)/bin
 HOST := $(or $(NEURALMUSIC_HOST),127.0.0.1)
 PORT := $(or $(NEURALMUSIC_PORT),8000)
 
-.PHONY: help install run test lint types format bench contracts audit clean
+.PHONY: help install run test test-docker lint types format bench contracts audit clean
 
 help:
 	@echo "make run      install and start the service with its embedded model (no torch)"
 	@echo "make test     install everything and run the tests"
+	@echo "make test-docker  build the image, start it as docs/deployment.md says, restart it under load"
 	@echo "make install  only install everything, torch for the CPU included"
 	@echo "make lint     ruff, formatting, openapi.yaml"
 	@echo "make types    mypy, strict on service/"
@@ -41,6 +42,9 @@ run: $(VENV)/.ready
 
 test: install
 	$(BIN)/python -m pytest
+
+test-docker: install
+	$(BIN)/python -m pytest -m docker -rs
 
 lint: install
 	$(BIN)/ruff check .

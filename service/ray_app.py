@@ -17,8 +17,8 @@ from ray import serve
 
 from service.api.state import ServiceState
 from service.app import create_app
-from service.server import FAREWELL, GRACE
-from service.settings import variable
+from service.server import FAREWELL
+from service.settings import GRACE, variable
 
 CONTROLLER = "SERVE_CONTROLLER_ACTOR"
 LOOK_S = 1.0

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import signal
 import socket
+import sys
+import time
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -23,13 +26,11 @@ from service.startup import load_registry
 
 log = logging.getLogger(__name__)
 
-GRACE = 10
-"""Seconds that running requests get to finish after SIGTERM"""
 WS_MAX_SIZE = 2**20
 """Bytes of a WebSocket message; the stream says what is wrong from 64 KiB on, beyond this only a
 close frame does"""
 FAREWELL = 5
-"""Seconds beyond, in which those that did not are told so"""
+"""Seconds in which streams get their last words, and then those whose recordings took too long"""
 
 
 class Server(uvicorn.Server):
@@ -70,7 +71,9 @@ class Server(uvicorn.Server):
         task.add_done_callback(self._reloads.discard)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        asyncio.get_running_loop().call_later(GRACE, self._state.recording_workers.drain)
+        await self._wait_for_proxies()
+        grace = self._state.settings.drain_grace
+        asyncio.get_running_loop().call_later(grace, self._state.recording_workers.drain)
         # uvicorn would cut the sockets before the application hears of it.
         self._state.streams.drain()
         with suppress(TimeoutError):
@@ -78,9 +81,21 @@ class Server(uvicorn.Server):
                 await self._state.streams.empty.wait()
         await super().shutdown(sockets)
 
+    async def _wait_for_proxies(self) -> None:
+        """Say that no more should come, but take what does: a proxy looks only now and then."""
+        state = self._state
+        state.leaving = True
+        began = time.monotonic()
+        while time.monotonic() - began < state.settings.drain_delay:
+            if self.force_exit:  # which uvicorn itself looks at now and then
+                return
+            await asyncio.sleep(0.1)
+
 
 def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> None:
     """Serve until SIGINT or SIGTERM; ``announce`` is called with the address once ready.
+
+    Call it from the main thread: after SIGTERM the process ends with exit code 0.
 
     Raises
     ------
@@ -89,6 +104,9 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
     """
     configure_logging(settings)
     warn_if_open(settings)
+    # uvicorn raises a signal again once it has drained, which would look like a failure; and the
+    # first process of a container ignores SIGTERM until somebody handles it.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     app = create_app(settings, load_registry(settings))
     Server(server_config(app, settings), app.state.service, announce).run()
 
@@ -134,7 +152,7 @@ def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
         log_level=server_log_level(settings),
         access_log=False,
         server_header=False,
-        timeout_graceful_shutdown=GRACE + FAREWELL,
+        timeout_graceful_shutdown=math.ceil(settings.drain_grace) + FAREWELL,
         http=HttpProtocol,
         ws="websockets-sansio",
         ws_max_size=WS_MAX_SIZE,

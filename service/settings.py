@@ -5,7 +5,6 @@ A flag wins over the environment (``NEURALMUSIC_PORT`` for ``port``), which wins
 
 from __future__ import annotations
 
-import math
 import os
 import re
 from collections.abc import Callable, Mapping
@@ -17,6 +16,7 @@ from pydantic import Field, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from service.cpus import usable_cpus
 from service.errors import ConfigError
 from service.key_file import TOKEN
 
@@ -24,22 +24,11 @@ PREFIX = "NEURALMUSIC_"
 KEY_VARIABLE = f"{PREFIX}KEY"
 """Holds the key that a client sends; no setting of the service"""
 
+GRACE = 10.0
+"""Seconds that recordings in work get to finish after SIGTERM, by default"""
+
 LogLevel = Literal["critical", "error", "warning", "info", "debug"]
 LogFormat = Literal["text", "json"]
-
-
-def usable_cpus() -> int:
-    """CPUs that this process may use: its affinity, and a container's quota."""
-    try:
-        count = len(os.sched_getaffinity(0))
-    except AttributeError:  # not Linux
-        count = os.cpu_count() or 1
-    try:
-        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()
-        count = min(count, math.ceil(int(quota) / int(period)))
-    except (OSError, ValueError):  # no cgroup v2, or a quota of "max"
-        pass
-    return max(count, 1)
 
 
 class Settings(BaseSettings):
@@ -99,6 +88,11 @@ class Settings(BaseSettings):
     """File of the API keys (neuralmusic key new); None lets everybody do everything"""
     noise_folder: Path | None = None
     """Folder in which noise profiles outlive the process; None keeps them in memory"""
+    drain_delay: float = Field(0.0, ge=0, le=3600)
+    """Seconds after SIGTERM in which /readyz is 503 but new work is still taken, so that no proxy
+    sends it in vain"""
+    drain_grace: float = Field(GRACE, ge=0, le=86_400)
+    """Seconds that recordings in work then get to finish"""
     log_level: LogLevel = "info"
     """Least severe messages that are logged"""
     log_format: LogFormat = "text"

@@ -72,6 +72,14 @@ class RunningService:
         """Of the processes that compute streams."""
         return self.state.stream_workers.pids
 
-    def stop(self) -> None:
+    def begin_stop(self) -> None:
         self._server.should_exit = True
+
+    def end_delay(self) -> None:
+        """As if the setting ``drain_delay`` had passed."""
+        state = self._app.state.service
+        state.settings = state.settings.model_copy(update={"drain_delay": 0.0})
+
+    def stop(self) -> None:
+        self.begin_stop()
         self._thread.join(TIMEOUT_S)

@@ -33,8 +33,8 @@ async def livez() -> StatusAnswer:
     responses=problem_responses(NotReady, Draining),
 )
 async def readyz(request: Request) -> StatusAnswer:
-    """200 once the models are loaded and self-tested and until the service stops, else 503."""
-    state_of(request).admit()
+    """200 once the models are loaded and self-tested and until the service is to stop, else 503."""
+    state_of(request).check_ready()
     return StatusAnswer()
 
 

@@ -26,6 +26,8 @@ from service.worker_link import Setup
 
 log = logging.getLogger(__name__)
 
+SHUTTING_DOWN = "the service is shutting down: try again in a moment"
+
 
 @dataclass(slots=True)
 class ServiceState:
@@ -39,6 +41,8 @@ class ServiceState:
     """None until the bundles are loaded and self-tested"""
     noise: NoiseStore = field(default_factory=NoiseStore)
     """Profiles of robots' own noises"""
+    leaving: bool = False
+    """Whoever balances loads should send nothing new: the service is about to shut down"""
     metrics: Metrics = field(default_factory=Metrics)
     traces: Traces = field(default_factory=Traces)
     noise_checks: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(1))
@@ -76,7 +80,7 @@ class ServiceState:
                 "stream": len(self.stream_workers.pids),
                 "file": len(self.recording_workers.pids),
             },
-            ready=self.registry is not None and not self.streams.draining,
+            ready=self.ready,
             models=tuple(bundle.identity for bundle in bundles),
         )
 
@@ -149,10 +153,21 @@ class ServiceState:
             raise NotReady("the models are being loaded: try again in a moment")
         return self.registry
 
+    @property
+    def ready(self) -> bool:
+        """Whether new work may come: /readyz in one word."""
+        return self.registry is not None and not (self.leaving or self.streams.draining)
+
+    def check_ready(self) -> None:
+        """Raise NotReady or Draining where new work had better go elsewhere."""
+        self.admit()
+        if self.leaving:
+            raise Draining(SHUTTING_DOWN)
+
     def admit(self) -> BundleRegistry:
         """The loaded bundles for something new; raises Draining once the service shuts down."""
         if self.streams.draining:
-            raise Draining("the service is shutting down: try again in a moment")
+            raise Draining(SHUTTING_DOWN)
         return self.models()
 
 

@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from service.app import create_app
-from service.server import FAREWELL, GRACE
-from service.settings import PREFIX, Settings, load_settings
+from service.server import FAREWELL
+from service.settings import GRACE, PREFIX, Settings, load_settings
 
 ROOT = Path(__file__).parents[2]
 MANIFESTS: list[dict[str, Any]] = list(

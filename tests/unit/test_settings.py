@@ -8,9 +8,10 @@ from typing import Any
 
 import pytest
 
+from service.cpus import usable_cpus
 from service.errors import ConfigError
 from service.key_file import new_token
-from service.settings import Settings, load_settings, usable_cpus, variable
+from service.settings import Settings, load_settings, variable
 
 
 @pytest.fixture(autouse=True)
@@ -124,6 +125,8 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
         "hosts": ("robot.local", "doa.example"),
         "keys": Path("/k"),
         "noise_folder": Path("/n"),
+        "drain_delay": 2048.0,
+        "drain_grace": 2048.0,
         "log_level": "debug",
         "log_format": "json",
         "traces": "http://collector:4318",
