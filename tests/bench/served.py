@@ -32,8 +32,8 @@ class Footprint:
     processes: int
     pss_mb: float
     """Memory with shared pages divided among those that share them: it adds up"""
-    rss_mb: float
-    """Of the service's own process alone"""
+    heap_mb: float
+    """That the service's own process allocated"""
     threads: int
     files: int
     """Open ones, sockets included"""
@@ -106,7 +106,7 @@ class Served:
         return Footprint(
             processes=len(pids),
             pss_mb=round(sum(map(pss_mb, pids)), 2),
-            rss_mb=round(rss_mb(self.pid), 2),
+            heap_mb=round(heap_mb(self.pid), 2),
             threads=sum(map(threads, pids)),
             files=len(targets),
             sockets=sum(target.startswith("socket:") for target in targets),
@@ -177,9 +177,9 @@ def pss_mb(pid: int) -> float:
     return _kilobytes(f"/proc/{pid}/smaps_rollup", "Pss:") / 1024
 
 
-def rss_mb(pid: int) -> float:
-    """Resident set size of a process in MB, 0 once it ended."""
-    return _kilobytes(f"/proc/{pid}/status", "VmRSS:") / 1024
+def heap_mb(pid: int) -> float:
+    """Anonymous memory of a process in MB: what it allocated, whoever shares the libraries."""
+    return _kilobytes(f"/proc/{pid}/status", "RssAnon:") / 1024
 
 
 def threads(pid: int) -> int:
