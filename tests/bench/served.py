@@ -27,7 +27,7 @@ MARK = " serves on "
 
 @dataclass(frozen=True, slots=True)
 class Footprint:
-    """Of the service and its workers together."""
+    """Of the service and its workers together, or of the service alone."""
 
     processes: int
     pss_mb: float
@@ -99,9 +99,9 @@ class Served:
         """Process ids of the children whose command line names this kind of worker."""
         return [pid for pid in children(self.pid) if kind in command_line(pid)]
 
-    def footprint(self) -> Footprint:
-        """What the service and its workers take now."""
-        pids = [self.pid, *children(self.pid)]
+    def footprint(self, *, workers: bool = True) -> Footprint:
+        """What the service takes now, with its workers or alone."""
+        pids = [self.pid, *(children(self.pid) if workers else ())]
         targets = [target for pid in pids for target in open_files(pid)]
         return Footprint(
             processes=len(pids),

@@ -41,6 +41,8 @@ MB_AN_HOUR = 1.0
 TELLS_SLOPES_S = 600.0
 """A shorter run is judged by the memory at rest"""
 MB_AT_REST = 20.0
+RELOADS = 5
+"""After which the allocator has all that reloads ever fragment (measured: 40 MB)"""
 SETTLE_S = 60.0
 OPTIONS = (
     {"interval_ms": 50},
@@ -62,6 +64,7 @@ class Sample:
     """PSS of the service and all workers"""
     processes: int
     threads: int
+    """Of the service's own process, as are files and sockets"""
     files: int
     sockets: int
     sessions: int
@@ -117,7 +120,10 @@ class Soak:
         return before, await self._at_rest()
 
     async def _once_of_each(self) -> None:
-        """What is loaded once is no leak."""
+        """What is loaded once is no leak, nor what the allocator keeps of the first reloads."""
+        for _ in range(RELOADS):
+            await self._reload()
+            await asyncio.sleep(SAMPLE_S)
         robot = Robot("first", self.service.url)
         task = asyncio.create_task(robot.run())
         await until(lambda: len(robot.heard) >= 10, "the first robot hears")
@@ -129,7 +135,7 @@ class Soak:
         """The footprint once no stream runs and files are closed."""
         await until(lambda: self.service.running_sessions() == 0, "no stream runs", SETTLE_S)
         await asyncio.sleep(SAMPLE_S + 1)  # uvicorn keeps idle connections for five seconds
-        return self.service.footprint()
+        return self.service.footprint(workers=False)
 
     def _join(self, **options: Any) -> None:
         number = next(self._numbers)
@@ -151,16 +157,16 @@ class Soak:
             lags = [lag for robot, _ in self.robots.values() for lag in robot.lags_ms(since)]
             p50, p99 = np.percentile(lags, [50, 99]) if lags else (np.nan, np.nan)
             sessions = await asyncio.to_thread(self.service.running_sessions)
-            whole = self.service.footprint()
+            whole, own = self.service.footprint(), self.service.footprint(workers=False)
             self.samples.append(
                 Sample(
                     t=round(self._seen - self.began, 2),
                     service_mb=whole.heap_mb,
                     whole_mb=whole.pss_mb,
                     processes=whole.processes,
-                    threads=whole.threads,
-                    files=whole.files,
-                    sockets=whole.sockets,
+                    threads=own.threads,
+                    files=own.files,
+                    sockets=own.sockets,
                     sessions=sessions,
                     lag_p50_ms=round(float(p50), 1),
                     lag_p99_ms=round(float(p99), 1),
@@ -294,12 +300,12 @@ def judged(soak: Soak, before: Footprint, after: Footprint) -> list[dict[str, An
         },
         *(
             {
-                "what": f"{name} of all processes at rest",
+                "what": f"{name} of the service's process at rest",
                 "measured": f"{getattr(before, name)} before, {getattr(after, name)} after",
                 "bound": f"at most {slack} more",
                 "kept": bool(getattr(after, name) <= getattr(before, name) + slack),
             }
-            for name, slack in (("threads", 8), ("files", 8), ("sockets", 4))
+            for name, slack in (("threads", 8), ("files", 6), ("sockets", 6))
         ),
         {
             "what": "tracebacks in the log",
