@@ -5,12 +5,16 @@ BIN := $(VENV)/bin
 HOST := $(or $(NEURALMUSIC_HOST),127.0.0.1)
 PORT := $(or $(NEURALMUSIC_PORT),8000)
 
-.PHONY: help install run test test-docker lint types format bench contracts audit clean
+.PHONY: help install run test test-docker test-faults test-fuzz test-ray test-soak lint types format bench contracts audit clean
 
 help:
 	@echo "make run      install and start the service with its embedded model (no torch)"
 	@echo "make test     install everything and run the tests"
 	@echo "make test-docker  build the image, start it as docs/deployment.md says, restart it under load"
+	@echo "make test-faults  killed workers and replicas, cut networks, full disks (as root)"
+	@echo "make test-fuzz    hostile requests, uploads and streams by the thousand"
+	@echo "make test-soak    a minute of robots, churn and faults"
+	@echo "make test-ray     replicas and batches on Ray, which it installs"
 	@echo "make install  only install everything, torch for the CPU included"
 	@echo "make lint     ruff, formatting, openapi.yaml"
 	@echo "make types    mypy, strict on service/"
@@ -43,8 +47,12 @@ run: $(VENV)/.ready
 test: install
 	$(BIN)/python -m pytest
 
-test-docker: install
-	$(BIN)/python -m pytest -m docker -rs
+test-docker test-faults test-fuzz test-soak: test-%: install
+	$(BIN)/python -m pytest -m $* -rs
+
+test-ray: install
+	$(BIN)/python -m pip install --quiet --editable '.[ray]'
+	$(BIN)/python -m pytest -m ray -rs
 
 lint: install
 	$(BIN)/ruff check .

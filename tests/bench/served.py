@@ -27,13 +27,13 @@ MARK = " serves on "
 
 @dataclass(frozen=True, slots=True)
 class Footprint:
-    """Of the service and its workers together."""
+    """Of the service and its workers together, or of the service alone."""
 
     processes: int
     pss_mb: float
     """Memory with shared pages divided among those that share them: it adds up"""
-    rss_mb: float
-    """Of the service's own process alone"""
+    heap_mb: float
+    """That the service's own process allocated"""
     threads: int
     files: int
     """Open ones, sockets included"""
@@ -99,14 +99,14 @@ class Served:
         """Process ids of the children whose command line names this kind of worker."""
         return [pid for pid in children(self.pid) if kind in command_line(pid)]
 
-    def footprint(self) -> Footprint:
-        """What the service and its workers take now."""
-        pids = [self.pid, *children(self.pid)]
+    def footprint(self, *, workers: bool = True) -> Footprint:
+        """What the service takes now, with its workers or alone."""
+        pids = [self.pid, *(children(self.pid) if workers else ())]
         targets = [target for pid in pids for target in open_files(pid)]
         return Footprint(
             processes=len(pids),
             pss_mb=round(sum(map(pss_mb, pids)), 2),
-            rss_mb=round(rss_mb(self.pid), 2),
+            heap_mb=round(heap_mb(self.pid), 2),
             threads=sum(map(threads, pids)),
             files=len(targets),
             sockets=sum(target.startswith("socket:") for target in targets),
@@ -177,9 +177,9 @@ def pss_mb(pid: int) -> float:
     return _kilobytes(f"/proc/{pid}/smaps_rollup", "Pss:") / 1024
 
 
-def rss_mb(pid: int) -> float:
-    """Resident set size of a process in MB, 0 once it ended."""
-    return _kilobytes(f"/proc/{pid}/status", "VmRSS:") / 1024
+def heap_mb(pid: int) -> float:
+    """Anonymous memory of a process in MB: what it allocated, whoever shares the libraries."""
+    return _kilobytes(f"/proc/{pid}/status", "RssAnon:") / 1024
 
 
 def threads(pid: int) -> int:

@@ -9,6 +9,7 @@ import io
 import json
 import re
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ from service.doa.whitening import NoiseCovariance
 from service.errors import BundleNotFound
 from service.inference.noise_profile import noise_bytes
 from service.inference.noise_store import CAPACITY
+from service.key_file import Key, new_token, token_sha256
 from service.settings import Settings
 
 DOCUMENT = yaml.safe_load((Path(__file__).parents[2] / "openapi.yaml").read_text())
@@ -42,12 +44,18 @@ PATIENCE_S = 30.0
 """Seconds until a hanging test fails"""
 
 
+TOKENS = {role: new_token() for role in ("localize", "stream", "watch", "admin")}
+BODY_TIMEOUT_S = 1.0
+
+
 @dataclass(frozen=True)
 class Subject:
     """A running service, and the client that asks it."""
 
     service: RunningService
     client: httpx2.Client
+    guarded: httpx2.Client
+    """Of another service, which has keys and waits for no body"""
 
     def localize(self, content: bytes, media_type: str = "audio/wav") -> httpx2.Response:
         parameters = {"array": ARRAY, "method": "music"}
@@ -163,7 +171,7 @@ def while_busy(subject: Subject) -> httpx2.Response:
 
     def occupy() -> None:
         with httpx2.Client(base_url=subject.service.url, timeout=PATIENCE_S) as client:
-            busy = Subject(subject.service, client)
+            busy = Subject(subject.service, client, subject.guarded)
             while not release.is_set():
                 busy.localize(recording)
 
@@ -180,7 +188,52 @@ def while_busy(subject: Subject) -> httpx2.Response:
     return answer
 
 
-REQUESTS: dict[tuple[str, str, int], Ask] = {
+def guarded(method: str, path: str, role: str | None = None, **request: Any) -> Ask:
+    """A request to the service with keys, with the key of a role."""
+    headers = {"Authorization": f"Bearer {TOKENS[role]}"} if role else {}
+    return lambda subject: subject.guarded.request(method, path, headers=headers, **request)
+
+
+def too_slow(method: str, path: str) -> Ask:
+    """A request whose body stops coming."""
+
+    def send(subject: Subject) -> httpx2.Response:
+        def body() -> Iterator[bytes]:
+            yield b"RIFF"
+            until = time.monotonic() + 2 * BODY_TIMEOUT_S
+            while time.monotonic() < until:
+                assert subject.client.get("/livez").status_code == 200
+
+        headers = {"Authorization": f"Bearer {TOKENS['admin']}", "Content-Type": "audio/wav"}
+        return subject.guarded.request(method, path, headers=headers, content=body())
+
+    return send
+
+
+FILLED = {"session_id": "none", "name": "none"}
+ELSEWHERE = {"Host": "elsewhere.example"}
+KEY_IN_ADDRESS = {"key": "x"}
+
+
+def refusals() -> Iterator[tuple[tuple[str, str, int], Ask]]:
+    """What the guard says to requests of every path."""
+    for path, operations in DOCUMENT["paths"].items():
+        filled = path.format(**FILLED)
+        for method, operation in operations.items():
+            verb, roles = method.upper(), operation.get("x-roles", [])
+            yield (method, path, 400), ask(verb, filled, params=KEY_IN_ADDRESS)
+            yield (method, path, 421), ask(verb, filled, headers=ELSEWHERE)
+            if roles:
+                yield (method, path, 401), guarded(verb, filled)
+            if (wrong := sorted(TOKENS.keys() - set(roles))) and roles:
+                yield (method, path, 403), guarded(verb, filled, wrong[0])
+            if "429" in operation["responses"]:
+                yield (method, path, 429), guarded(verb, filled, "localize", content=b"x")
+            if "408" in operation["responses"]:
+                yield (method, path, 408), too_slow(verb, filled)
+
+
+REQUESTS: dict[tuple[str, str, int], Ask] = dict(refusals()) | {
     ("post", "/localize", 200): lambda s: s.localize(wav()),
     ("post", "/localize", 400): lambda s: s.localize(b"x", "multipart/form-data"),
     ("post", "/localize", 413): lambda s: s.localize(bytes(LIMIT + 1)),
@@ -231,11 +284,29 @@ DOCUMENTED = {
 
 
 @pytest.fixture(scope="module")
-def subject() -> Iterator[Subject]:
+def subject(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Subject]:
+    keys = tmp_path_factory.mktemp("keys") / "keys.jsonl"
+    keys.write_text(
+        "\n".join(
+            Key(
+                name=role,
+                sha256=token_sha256(token),
+                roles=(role,),
+                max_uploads=0 if role == "localize" else None,
+            ).line
+            for role, token in TOKENS.items()
+        )
+    )
+    keys.chmod(0o600)
     service = RunningService(settings=Settings(workers=1, queue=0, max_upload_bytes=LIMIT))
-    with httpx2.Client(base_url=service.url, timeout=PATIENCE_S) as client:
-        yield Subject(service, client)
+    other = RunningService(settings=Settings(workers=1, keys=keys, body_timeout=BODY_TIMEOUT_S))
+    with (
+        httpx2.Client(base_url=service.url, timeout=PATIENCE_S) as client,
+        httpx2.Client(base_url=other.url, timeout=PATIENCE_S) as keyed,
+    ):
+        yield Subject(service, client, keyed)
     service.stop()
+    other.stop()
 
 
 def test_every_documented_status_has_its_request() -> None:
@@ -250,7 +321,7 @@ def test_a_documented_status_is_real(place: tuple[str, str, int], subject: Subje
     assert answer.request.method.lower() == method
     assert re.fullmatch(re.sub(r"\{\w+\}", "[^/]+", path), answer.request.url.path)
     response = DOCUMENTED[place]
-    assert set(response.get("headers", {})) <= {name.title() for name in answer.headers}
+    assert {name.lower() for name in response.get("headers", {})} <= set(answer.headers)
     if "content" not in response:
         assert answer.content == b""
         return

@@ -1,4 +1,4 @@
-"""Figures of every fault: printed, and with ``FIGURES=docs`` written to ``docs/reliability.md``."""
+"""Figures of every fault: printed, and with ``FIGURES=docs`` written to ``docs/faults.json``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from faults_table import write_table
+from bench.reliability import write_table
 
 FIGURES = pytest.StashKey[dict[str, Any]]()
 
@@ -46,8 +46,8 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     folder, measured = os.environ.get("FIGURES"), session.config.stash[FIGURES]
     if not folder or not measured:
         return
-    path = Path(folder) / "reliability.json"
+    path = Path(folder) / "faults.json"
     known = json.loads(path.read_text()) if path.exists() else {}
-    known["faults"] = dict(sorted({**known.get("faults", {}), **measured}.items()))
-    path.write_text(json.dumps(known, indent=1, ensure_ascii=False) + "\n")
+    faults = dict(sorted({**known, **measured}.items()))
+    path.write_text(json.dumps(faults, indent=1, ensure_ascii=False) + "\n")
     write_table(Path(folder))

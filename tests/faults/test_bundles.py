@@ -14,7 +14,7 @@ from pathlib import Path
 import httpx2
 import pytest
 from bench.fleet import fleet, until
-from bench.served import COMMAND, ROOT, Served
+from bench.served import COMMAND, ROOT, Served, heap_mb
 
 BUNDLE = ROOT / "service" / "models" / "any-array"
 FILES = ("bundle.json", "covariance.onnx", "source_count.onnx", "fusion.npz", "golden.npz")
@@ -92,3 +92,27 @@ def test_corrupt_bundle_on_reload(figures: Callable[..., None], models: Path, wa
         streams=f"{cut} of 3 cut",
     )
     assert cut == 0
+
+
+@pytest.mark.faults
+def test_memory_of_reloads(figures: Callable[..., None]) -> None:
+    times = 20
+
+    async def scenario(service: Served) -> list[float]:
+        memory = []
+        for number in range(1, 2 * times + 1):
+            answer = await asyncio.to_thread(httpx2.post, f"{service.url}/admin/reload", timeout=60)
+            assert answer.status_code == 200, answer.text
+            if number % times == 0 or number == times // 2:
+                memory.append(heap_mb(service.pid))
+        return memory
+
+    with Served() as service:
+        start = heap_mb(service.pid)
+        early, middle, late = asyncio.run(scenario(service))
+    figures(
+        f"{2 * times} reloads of good bundles",
+        memory=f"{start:.0f} MB at the start, {early:.0f} MB after {times // 2}, "
+        f"{middle:.0f} MB after {times}, {late:.0f} MB after {2 * times}",
+    )
+    assert late - middle < 15  # half a megabyte a reload would be a leak of a whole bundle

@@ -48,6 +48,7 @@ def test_stream_worker_killed(figures: Callable[..., None]) -> None:
             os.kill(service.workers("stream_worker")[0], signal.SIGKILL)
             await until(again(robots, killed), "all robots hear again", 6 * BACK_S)
             await until(lambda: service.running_sessions() == ROBOTS, "no session is left over")
+            await until(lambda: service.footprint().files <= before.files, "files are closed")
             return robots, killed, before, service.footprint()
 
     with Served("--stream-workers", "2") as service:
@@ -77,7 +78,6 @@ def test_stream_worker_killed(figures: Callable[..., None]) -> None:
         assert not robot.errors
         assert not robot.reconnecting
     assert after.processes == before.processes
-    assert after.files <= before.files
     assert after.threads <= before.threads + IDLE_THREADS
     assert "Traceback" not in log
 
