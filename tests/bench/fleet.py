@@ -60,7 +60,8 @@ class Robot:
     url: str
     options: dict[str, Any] = field(default_factory=dict)
     heard: list[Heard] = field(default_factory=list)
-    sessions: list[str] = field(default_factory=list)
+    begun: list[float] = field(default_factory=list)
+    """Moments of the monotonic clock at which sessions began"""
     errors: list[StreamError] = field(default_factory=list)
     reconnecting: list[Reconnecting] = field(default_factory=list)
     warnings: list[StreamWarning] = field(default_factory=list)
@@ -103,7 +104,7 @@ class Robot:
             captured = event.capture_time_ns / 1e9
             self.heard.append(Heard(time.monotonic(), captured, event.lag_ms))
         elif isinstance(event, Ready):
-            self.sessions.append(event.session)
+            self.begun.append(time.monotonic())
         elif isinstance(event, StreamError):
             self.errors.append(event)
         elif isinstance(event, Reconnecting):
@@ -127,7 +128,11 @@ class Robot:
     @property
     def cut(self) -> int:
         """How often the robot had to begin another session."""
-        return max(len(self.sessions) - 1, 0)
+        return max(len(self.begun) - 1, 0)
+
+    def cut_after(self, moment: float) -> bool:
+        """Whether it had to begin another session after a moment of the monotonic clock."""
+        return bool(self.begun) and self.begun[-1] > moment
 
     def lost_s(self, since: float = 0.0) -> float:
         """Seconds of audio, captured after a moment of the monotonic clock, without a result."""

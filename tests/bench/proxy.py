@@ -29,7 +29,7 @@ frontend robots
 backend replicas
     balance leastconn
     option httpchk GET /readyz
-    default-server check inter 500ms fall 2 rise 1 on-marked-down shutdown-sessions
+    default-server check inter 1s fall 3 rise 1 on-marked-down shutdown-sessions
 {servers}
 """
 

@@ -59,6 +59,7 @@ def test_network_cut(figures: Callable[..., None], way: str, cut_s: float) -> No
                 "all robots hear again",
                 90,
             )
+            assert not any(robot.failure for robot in robots)
         await until(
             lambda: service.footprint().sockets <= before.sockets, "nothing is left over", IDLE_S
         )
