@@ -23,7 +23,7 @@ from service.key_file import ROLES
 
 SCHEME = "key"
 EVERYWHERE: tuple[type[DoaError], ...] = (HostRefused, KeyInAddress)
-WITH_KEY: tuple[type[DoaError], ...] = (KeyMissing, KeyUnknown, KeyExpired)
+NEEDS_KEY: tuple[type[DoaError], ...] = (KeyMissing, KeyUnknown, KeyExpired)
 LIMITED: tuple[type[DoaError], ...] = (TooManyUploads, AudioQuota)
 UPLOADS = frozenset({"/localize", "/noise/{name}"})
 """Paths whose unsafe methods hold an upload's place, but for DELETE"""
@@ -51,9 +51,9 @@ def _document(operation: dict[str, Any], path: str, method: str) -> None:
     if roles:
         operation["security"] = [{}, {SCHEME: []}]
         operation["x-roles"] = sorted({*roles, "admin"})
-        errors += WITH_KEY
-        if not set(ROLES) <= {*roles, "admin"}:  # every key has one
-            errors.append(RoleMissing)
+        errors += NEEDS_KEY
+    if roles and roles != ROLES:
+        errors.append(RoleMissing)
     if method not in SAFE_METHODS:
         errors.append(OriginRefused)
     if path in UPLOADS and method in ("POST", "PUT"):
