@@ -14,51 +14,20 @@ import pytest
 import websockets
 from key_file import KeyFile
 from running_service import RunningService
-from websockets.asyncio.client import ClientConnection, connect
+from websocket_stream import PATIENCE, START, end, opened, refusal, started
 
 from service.client import LocalizationClient, ServiceProblem, StreamClient
 from service.client.errors import StreamClosed, StreamRefused
 from service.key_file import new_token
 
-PATIENCE = 30
-START = {
-    "type": "start",
-    "audio": {"encoding": "pcm_s16le", "sample_rate": 16000, "channels": 4},
-    "array": {"name": "respeaker-usb-4mic-v2"},
-    "method": "norm_music",
-}
 PIECE = np.random.default_rng(0).integers(-300, 300, (1600, 4)).astype("<i2").tobytes()
 """A tenth of a second"""
 
 
-def handshake(service: RunningService, **options: Any) -> Any:
-    arguments = {"subprotocols": ["doa.v1"], "compression": None, "close_timeout": 1, **options}
-    return connect(service.url.replace("http", "ws") + "/stream", **arguments)
-
-
-def refusal(service: RunningService, **options: Any) -> tuple[int, str, Any]:
-    async def attempt() -> tuple[int, str, Any]:
-        with pytest.raises(websockets.InvalidStatus) as caught:
-            async with asyncio.timeout(PATIENCE), handshake(service, **options):
-                pass
-        response = caught.value.response
-        return response.status_code, json.loads(response.body or b"{}")["code"], response.headers
-
-    return asyncio.run(attempt())
-
-
-async def started(socket: ClientConnection) -> None:
-    await socket.send(json.dumps(START))
-    while json.loads(await socket.recv())["type"] != "ready":
-        pass
-
-
-async def last_words(socket: ClientConnection) -> tuple[dict[str, Any], int | None]:
-    last: dict[str, Any] = {}
-    with suppress(websockets.ConnectionClosed):
-        while True:
-            last = json.loads(await socket.recv())
-    return last, socket.close_code
+def code_of(service: RunningService, **options: Any) -> tuple[int, str]:
+    """Status and code of a handshake that is refused."""
+    status, problem, _ = refusal(service, **options)
+    return status, problem["code"]
 
 
 def page_key(token: str) -> str:
@@ -68,15 +37,15 @@ def page_key(token: str) -> str:
 def test_a_handshake_without_a_good_key_is_a_real_answer(
     service: RunningService, bearer: Any
 ) -> None:
-    status, code, headers = refusal(service)
-    assert (status, code) == (401, "key_missing")
+    status, problem, headers = refusal(service)
+    assert (status, problem["code"]) == (401, "key_missing")
     assert headers["www-authenticate"].startswith("Bearer")
     assert headers["content-type"] == "application/problem+json"
     wrong = {"Authorization": f"Bearer {new_token()}"}
-    assert refusal(service, additional_headers=wrong)[:2] == (401, "key_unknown")
-    assert refusal(service, additional_headers=bearer("localize"))[:2] == (403, "role_missing")
+    assert code_of(service, additional_headers=wrong) == (401, "key_unknown")
+    assert code_of(service, additional_headers=bearer("localize")) == (403, "role_missing")
     offered = ["doa.v1", page_key(new_token())]
-    assert refusal(service, subprotocols=offered)[:2] == (401, "key_unknown")
+    assert code_of(service, subprotocols=offered) == (401, "key_unknown")
     for junk in ("bearer.", "bearer.!!!", "bearer.gICA"):
         assert refusal(service, subprotocols=["doa.v1", junk])[0] == 401
 
@@ -86,30 +55,30 @@ def test_a_key_as_header_or_subprotocol_opens_a_stream(
 ) -> None:
     token = key_file.tokens["stream"]
 
-    async def opened(**options: Any) -> str | None:
-        async with asyncio.timeout(PATIENCE), handshake(service, **options) as socket:
+    async def protocol(**options: Any) -> str | None:
+        async with asyncio.timeout(PATIENCE), opened(service, **options) as socket:
             await started(socket)
             return socket.subprotocol  # type: ignore[no-any-return]
 
-    assert asyncio.run(opened(additional_headers=bearer("stream"))) == "doa.v1"
+    assert asyncio.run(protocol(additional_headers=bearer("stream"))) == "doa.v1"
     # Offered first, too: the answer must never repeat the key.
-    assert asyncio.run(opened(subprotocols=[page_key(token), "doa.v1"])) == "doa.v1"
+    assert asyncio.run(protocol(subprotocols=[page_key(token), "doa.v1"])) == "doa.v1"
 
 
 def test_a_keys_origins_are_for_that_key_alone(service: RunningService, bearer: Any) -> None:
     page = "https://dash.example"
-    refused = refusal(service, origin=page, additional_headers=bearer("stream"))
-    assert refused[:2] == (403, "origin_refused")
+    headers = bearer("stream")
+    assert code_of(service, origin=page, additional_headers=headers) == (403, "origin_refused")
 
-    async def opened() -> None:
+    async def attempt() -> None:
         headers = bearer("dashboard")
         async with (
             asyncio.timeout(PATIENCE),
-            handshake(service, origin=page, additional_headers=headers) as socket,
+            opened(service, origin=page, additional_headers=headers) as socket,
         ):
             await started(socket)
 
-    asyncio.run(opened())
+    asyncio.run(attempt())
 
 
 def test_a_key_has_its_number_of_streams_and_gets_the_place_back(
@@ -117,20 +86,20 @@ def test_a_key_has_its_number_of_streams_and_gets_the_place_back(
 ) -> None:
     headers = bearer("one-stream")
 
-    async def two() -> tuple[int, str, Any]:
+    async def two() -> tuple[int, dict[str, Any], Any]:
         async with (
             asyncio.timeout(PATIENCE),
-            handshake(service, additional_headers=headers) as socket,
+            opened(service, additional_headers=headers) as socket,
         ):
             await started(socket)
             found = await asyncio.to_thread(refusal, service, additional_headers=headers)
             await socket.send('{"type":"stop"}')
-            await last_words(socket)
+            await end(socket)
             return found
 
     for _ in range(2):
-        status, code, answer = asyncio.run(two())
-        assert (status, code) == (429, "too_many_sessions")
+        status, problem, answer = asyncio.run(two())
+        assert (status, problem["code"]) == (429, "too_many_sessions")
         assert int(answer["retry-after"]) >= 1
 
 
@@ -142,18 +111,18 @@ def test_a_stream_ends_when_its_keys_audio_is_used_up(
     async def run() -> tuple[dict[str, Any], int | None]:
         async with (
             asyncio.timeout(PATIENCE),
-            handshake(service, additional_headers=headers) as socket,
+            opened(service, additional_headers=headers) as socket,
         ):
             await started(socket)
             with suppress(websockets.ConnectionClosed):
                 for _ in range(30):
                     await socket.send(PIECE)
-            return await last_words(socket)
+            return await end(socket)
 
     last, close_code = asyncio.run(run())
     assert (last["type"], last["code"], close_code) == ("error", "audio_quota", 4429)
-    status, code, answer = refusal(service, additional_headers=headers)
-    assert (status, code) == (429, "audio_quota")
+    status, problem, answer = refusal(service, additional_headers=headers)
+    assert (status, problem["code"]) == (429, "audio_quota")
     assert int(answer["retry-after"]) >= 1
 
 
@@ -168,12 +137,12 @@ def test_a_stream_whose_key_is_taken_away_is_told_and_closed(
         headers = {"Authorization": f"Bearer {token}"}
         async with (
             asyncio.timeout(PATIENCE),
-            handshake(service, additional_headers=headers) as socket,
+            opened(service, additional_headers=headers) as socket,
         ):
             await started(socket)
             key_file.remove("leaving")
             state.keys.reload()
-            return await last_words(socket)
+            return await end(socket)
 
     last, close_code = asyncio.run(run())
     assert (last["type"], last["code"], close_code) == ("error", "key_unknown", 4401)
@@ -192,7 +161,7 @@ def test_a_watcher_whose_key_is_taken_away_sees_no_more(
         async with (
             asyncio.timeout(PATIENCE),
             httpx2.AsyncClient(base_url=service.url) as http,
-            handshake(service, additional_headers=bearer("stream")) as socket,
+            opened(service, additional_headers=bearer("stream")) as socket,
         ):
             await started(socket)
             known = (await http.get("/sessions", headers=watching)).json()["sessions"]
