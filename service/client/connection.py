@@ -56,7 +56,7 @@ class Timeouts:
     ping_interval_s: float = 2.0
     """Between pings of the connection, which notice a vanished service"""
     ping_timeout_s: float = 5.0
-    """Without an answer to such a ping"""
+    """Without an answer to such a ping, or in which nothing that is sent gets away"""
 
 
 def read_start(start: Start | None, fields: Mapping[str, Any]) -> Start:

@@ -139,13 +139,19 @@ class Sessions:
         return closed_by(websocket, said)
 
     async def _send_all(self, websocket: ClientConnection) -> None:
-        with contextlib.suppress(ConnectionClosed):
+        try:
             while True:
                 self._added.clear()
                 while (message := self.outgoing.take()) is not None:
                     self.taken.set()
-                    await websocket.send(message)
+                    async with asyncio.timeout(self._timeouts.ping_timeout_s):
+                        await websocket.send(message)
                 await self._added.wait()
+        except ConnectionClosed:
+            pass
+        except TimeoutError:
+            # Pings wait behind what the network does not take, so that none is ever missed.
+            websocket.transport.abort()
 
     async def _read_all(self, websocket: ClientConnection) -> StreamError | Closing | None:
         """Read until the connection is closed; gives the service's last word."""
