@@ -6,6 +6,7 @@ made run in here and nowhere else: one that crashes or hangs takes a request wit
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import os
 import time
@@ -27,6 +28,9 @@ from service.worker_link import READY, Link, run_worker
 
 log = logging.getLogger(__name__)
 
+# glibc would keep what a long window took for the next one, which may never come: 20 to 100 MB.
+_TRIM: Callable[[int], object] = getattr(ctypes.CDLL(None), "malloc_trim", lambda _: None)
+
 
 class Unwanted(Exception):
     """Nobody waits for the answer any more."""
@@ -43,6 +47,7 @@ def work_until_end(link: Link, registry: BundleRegistry) -> None:
     while True:
         job, descriptor = link.receive_with_file()
         link.send(_outcome(job, descriptor, registry, report))
+        _TRIM(0)
 
 
 def _outcome(
