@@ -19,7 +19,7 @@ from .sizes import FIRST, STREAMS
 pytestmark = pytest.mark.fuzz
 
 CLIENTS = 10
-WARM_UP = 300
+WARM_UP = 1000
 """Streams, others than those of the test, before memory is measured"""
 LISTEN_S = 0.3
 """Seconds that a client stays whose last bytes leave the server waiting"""

@@ -25,7 +25,6 @@ from service.api.outbox import message_json
 from service.errors import DoaError, WorkerLost
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
-from service.protocol import MAX_MESSAGE_BYTES
 from service.protocol.close_codes import CloseCode
 from service.protocol.server_messages import ServerMessage
 from service.streaming.host import StreamHost
@@ -141,20 +140,24 @@ class SessionMachine(RuleBasedStateMachine):
         self.driver.send(text)
 
     @precondition(lambda self: self.session.wants_audio)
-    @rule(frames=st.integers(0, 5400), lost=st.sampled_from([0, 0, 0, 1, 7, 2**31]))
-    def audio(self, frames: int, lost: int) -> None:
+    @rule(
+        seconds=st.sampled_from([0.0, 0.001, 0.0333, 0.1, 0.1]),
+        lost=st.sampled_from([0, 0, 0, 1, 7, 2**31]),
+    )
+    def audio(self, seconds: float, lost: int) -> None:
         begin = self.session.start
         audio = begin.audio if begin is not None else None
         size = audio.frame_bytes if audio is not None else 8
+        frames = round(seconds * (audio.sample_rate if audio is not None else 16_000))
         source = FLOATS if audio is not None and audio.encoding == "pcm_f32le" else NOISE * 2
         data = source[: frames * size]
         if audio is not None:
-            self.longest = max(self.longest, frames / audio.sample_rate)
+            self.longest = max(self.longest, seconds)
             if audio.header == "seq_time":
                 self.sequence += 1 + lost
                 captured = self.sequence * 100_000_000
                 data = struct.pack("<IIq", 0, self.sequence % 2**32, captured) + data
-        self.driver.audio(data, MAX_MESSAGE_BYTES)
+        self.driver.audio(data, len(data) or 1)
 
     @precondition(lambda self: not self.is_calm)
     @rule(data=st.binary(max_size=40) | st.sampled_from([b"RIFF" + bytes(60), bytes(65_537)]))
@@ -251,5 +254,5 @@ def test_any_sequence_leaves_a_defined_state() -> None:
 
 @pytest.mark.fuzz
 def test_many_sequences_leave_a_defined_state() -> None:
-    many = settings(QUICK, max_examples=600, stateful_step_count=50, derandomize=False)
+    many = settings(QUICK, max_examples=2000, stateful_step_count=50, derandomize=False)
     run_state_machine_as_test(SessionMachine, settings=many)  # type: ignore[no-untyped-call]

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
@@ -26,66 +23,6 @@ SECOND = pcm(0.01 * np.random.default_rng(0).standard_normal((4, RATE)))
 
 def stamped(sequence: int, captured_ns: int, audio: bytes) -> bytes:
     return struct.pack("<IIq", 0, sequence, captured_ns) + audio
-
-
-actions = st.one_of(
-    st.sampled_from(
-        [
-            json.dumps(CLASSICAL),
-            '{"type":"stop"}',
-            '{"type":"flush"}',
-            '{"type":"ping","id":7}',
-            '{"type":"update","output":{"interval_ms":50}}',
-            '{"type":"calibrate","kind":"noise","seconds":1}',
-            '{"type":"calibrate","kind":"noise","seconds":0}',
-            "{",
-            "null",
-        ]
-    ),
-    st.text(max_size=20),
-    st.integers(0, 9000).map(lambda size: SECOND[:size]),
-    st.integers(0, 1000).map(lambda count: SECOND[: 8 * count]),
-    st.just("work"),
-    st.just("tick"),
-    st.just("drain"),
-)
-
-
-@settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(begin=st.booleans(), script=st.lists(actions, max_size=14), eager=st.booleans())
-def test_any_order_of_messages_ends_in_a_defined_state(
-    new_session: NewSession, begin: bool, script: list[Any], eager: bool
-) -> None:
-    driver = new_session(eager=eager)
-    if begin:
-        driver.send(CLASSICAL)
-    for action in script:
-        driver.now += 0.01
-        if action == "work":
-            driver.work()
-        elif action == "tick":
-            driver.session.tick(driver.now)
-        elif action == "drain":
-            driver.session.drain()
-        elif isinstance(action, bytes):
-            driver.audio(action, 65_536)
-        else:
-            driver.send(action)
-    driver.work()
-    session, messages = driver.session, driver.messages
-    assert (session.state == "closed") == (session.close_code is not None)
-    assert [message["seq"] for message in messages] == list(range(len(messages)))
-    assert len(driver.all("ready")) <= 1
-    ends = [m for m in messages if m["type"] in ("error", "closing")]
-    assert len(ends) == (session.close_code is not None)
-    if ends:
-        assert messages[-1] == ends[0]
-        assert ends[0]["close_code"] == session.close_code
-        assert session.take_work() is None
-    pongs = driver.all("pong")
-    assert all(pong["id"] == 7 for pong in pongs)
 
 
 @pytest.mark.parametrize(
