@@ -235,6 +235,6 @@ def error_codes() -> Iterator[str]:
     pending = [DoaError]
     while pending:
         error = pending.pop()
-        if error.__module__ == DoaError.__module__:
+        if error.__module__.startswith("service.errors."):
             yield error.code
         pending += error.__subclasses__()

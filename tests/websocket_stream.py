@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager, suppress
 from typing import Any
 
 import numpy as np
+import pytest
 import websockets
 from running_service import RunningService
 from websockets.asyncio.client import ClientConnection, connect
@@ -55,3 +56,16 @@ async def end(socket: ClientConnection) -> tuple[dict[str, Any], int | None]:
         async for text in socket:
             last = json.loads(text)
     return last, socket.close_code
+
+
+def refusal(service: RunningService, **options: Any) -> tuple[int, dict[str, Any], Any]:
+    """Status, problem and headers of a handshake that is refused."""
+
+    async def attempt() -> tuple[int, dict[str, Any], Any]:
+        with pytest.raises(websockets.InvalidStatus) as caught:
+            async with opened(service, **options):
+                pass
+        response = caught.value.response
+        return response.status_code, json.loads(response.body or b"{}"), response.headers
+
+    return asyncio.run(attempt())

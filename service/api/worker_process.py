@@ -21,6 +21,8 @@ class WorkerProcess:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", module, str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
+                # Decoders print there what they find wrong with a recording; logs go to stderr.
+                stdout=subprocess.DEVNULL,
                 env=worker_environment(),
             )
         self.pid = self._process.pid

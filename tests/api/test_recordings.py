@@ -110,6 +110,18 @@ def test_a_worker_is_free_again_after_a_recording_that_is_none(service: Any) -> 
     assert running.pid == pid
 
 
+def test_what_a_decoder_prints_goes_nowhere(
+    service: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """libsndfile's for MIDI sample dumps prints to standard output, which nobody may be reading."""
+    dump = io.BytesIO()
+    soundfile.write(dump, np.zeros(4000), 16_000, format="SDS", subtype="PCM_16")
+    content = bytearray(dump.getvalue())
+    content[21::127] = bytes(len(content[21::127]))  # where every packet begins
+    assert service().post(bytes(content)).status_code == 422
+    assert capfd.readouterr().out == ""
+
+
 def test_a_stopping_service_ends_what_runs_and_refuses_what_comes(service: Any) -> None:
     running = service()
     with running.busy() as first:

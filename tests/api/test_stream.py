@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import websockets
 from running_service import RunningService
-from websocket_stream import PATIENCE, SECOND, START, end, opened, started, until
+from websocket_stream import PATIENCE, SECOND, START, end, opened, refusal, started, until
 
 from service.api import stream as stream_api
 from service.app import create_app
@@ -30,19 +30,6 @@ def service() -> Iterator[RunningService]:
     running = RunningService(settings=Settings(workers=1, max_sessions=8, idle_timeout=20))
     yield running
     running.stop()
-
-
-def refusal(service: RunningService, **options: Any) -> tuple[int, dict[str, Any], Any]:
-    """Status, problem and headers of a handshake that is refused."""
-
-    async def attempt() -> tuple[int, dict[str, Any], Any]:
-        with pytest.raises(websockets.InvalidStatus) as caught:
-            async with opened(service, **options):
-                pass
-        response = caught.value.response
-        return response.status_code, json.loads(response.body or b"{}"), response.headers
-
-    return asyncio.run(attempt())
 
 
 def test_a_handshake_without_the_subprotocol_is_a_problem_and_no_error_of_the_server(

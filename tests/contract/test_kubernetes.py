@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import yaml
 
+from service.api.worker_process import END_S
 from service.app import create_app
 from service.server import FAREWELL
 from service.settings import GRACE, PREFIX, Settings, load_settings
@@ -107,7 +108,8 @@ def gibibytes(quantity: str) -> int:
 
 def test_a_pod_that_leaves_has_the_time_that_it_takes() -> None:
     pause = CONTAINER["lifecycle"]["preStop"]["sleep"]["seconds"]
-    assert POD["spec"]["terminationGracePeriodSeconds"] > pause + GRACE + FAREWELL
+    ending = FAREWELL + GRACE + FAREWELL + END_S  # streams, requests, what they are told, workers
+    assert POD["spec"]["terminationGracePeriodSeconds"] > pause + ending
     update = BY_KIND["Deployment"]["spec"]["strategy"]["rollingUpdate"]
     assert update == {"maxUnavailable": 0, "maxSurge": 1}
 

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import re
-import threading
+import signal
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from errno import ENOSPC
@@ -75,9 +77,9 @@ class Subject:
         return str(messages[0]["session"])
 
 
-def wav(seconds: int = 1) -> bytes:
+def wav() -> bytes:
     file = io.BytesIO()
-    soundfile.write(file, np.tile(SECOND, (seconds, 1)), 16_000, format="FLAC")
+    soundfile.write(file, SECOND, 16_000, format="WAV")
     return file.getvalue()
 
 
@@ -167,24 +169,20 @@ def one_too_many(subject: Subject) -> httpx2.Response:
 
 def while_busy(subject: Subject) -> httpx2.Response:
     """A recording while as many as may are being localized."""
-    release, recording = threading.Event(), wav(5)
-
-    def occupy() -> None:
-        with httpx2.Client(base_url=subject.service.url, timeout=PATIENCE_S) as client:
-            busy = Subject(subject.service, client, subject.guarded)
-            while not release.is_set():
-                busy.localize(recording)
-
-    others = [threading.Thread(target=occupy) for _ in range(3)]
-    for each in others:
-        each.start()
+    workers = subject.service.state.recording_workers
+    assert subject.localize(wav()).status_code == 200  # the worker is up
+    (pid,) = workers.pids
+    os.kill(pid, signal.SIGSTOP)
     try:
-        while (answer := subject.localize(wav())).status_code == 200:
-            pass
+        with ThreadPoolExecutor(1) as executor:
+            first = executor.submit(subject.localize, wav())
+            while not workers.admitted:
+                assert subject.client.get("/livez").status_code == 200
+            answer = subject.localize(wav())
+            os.kill(pid, signal.SIGCONT)
+            assert first.result(PATIENCE_S).status_code == 200
     finally:
-        release.set()
-        for each in others:
-            each.join(PATIENCE_S)
+        os.kill(pid, signal.SIGCONT)
     return answer
 
 

@@ -16,7 +16,7 @@ from .uploads import SEED
 
 STOP = frames.frame(frames.TEXT, b'{"type":"stop"}')
 HEADERS = (
-    ("Host", "x"),
+    ("Host", "localhost"),
     ("Upgrade", "websocket"),
     ("Connection", "Upgrade"),
     ("Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ=="),

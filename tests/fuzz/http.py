@@ -60,7 +60,9 @@ class Connection:
 def post(path: str, content_type: str, content: bytes) -> bytes:
     """The bytes of a request; without a type it has no such header."""
     kind = f"Content-Type: {content_type}\r\n" if content_type else ""
-    head = f"POST {path} HTTP/1.1\r\nHost: x\r\n{kind}Content-Length: {len(content)}\r\n\r\n"
+    head = (
+        f"POST {path} HTTP/1.1\r\nHost: localhost\r\n{kind}Content-Length: {len(content)}\r\n\r\n"
+    )
     return head.encode("latin-1") + content
 
 

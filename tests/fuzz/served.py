@@ -22,7 +22,7 @@ class Footprint:
     """What all processes of a service hold together."""
 
     memory_mb: float
-    """Proportional set size: shared pages count once"""
+    """Anonymous: programs and libraries are shared with whatever else runs on the machine"""
     processes: int
     threads: int
     files: int
@@ -63,7 +63,11 @@ class Served:
                 COMMAND, stdout=subprocess.PIPE, stderr=log, text=True, cwd=ROOT, env=environment
             )
         assert self._process.stdout is not None
-        self.url = re.findall(r"http://\S+", self._process.stdout.readline())[0]
+        announced = re.search(r"http://\S+", self._process.stdout.readline())
+        if announced is None:
+            self.stop()
+            raise AssertionError(f"the service did not start: {self.log.read_text()}")
+        self.url = announced[0]
         parts = urlsplit(self.url)
         assert parts.hostname is not None
         assert parts.port is not None
@@ -100,7 +104,7 @@ def _tree(pid: int) -> Iterator[int]:
 
 
 def _memory_mb(pid: int) -> float:
-    found = re.search(r"^Pss:\s+(\d+) kB", _text(Path(f"/proc/{pid}/smaps_rollup")), re.MULTILINE)
+    found = re.search(r"^RssAnon:\s+(\d+) kB", _text(Path(f"/proc/{pid}/status")), re.MULTILINE)
     return int(found[1]) / 1024 if found else 0.0
 
 
