@@ -96,7 +96,8 @@ class StreamWorker:
         """End the process."""
         self.lost = True
         if self._writer is not None:
-            self._writer.close()
+            # Not close: that waits until all is sent, to a worker that waits until all is read.
+            self._writer.transport.abort()
         if self._reading is not None:
             await asyncio.gather(self._reading, return_exceptions=True)
 
