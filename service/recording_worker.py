@@ -6,7 +6,6 @@ made run in here and nowhere else: one that crashes or hangs takes a request wit
 
 from __future__ import annotations
 
-import ctypes
 import logging
 import os
 import time
@@ -24,12 +23,9 @@ from service.errors import UNEXPECTED, DoaError
 from service.inference.registry import BundleRegistry
 from service.settings import Settings
 from service.startup import warm_up
-from service.worker_link import READY, Link, run_worker
+from service.worker_link import READY, Link, give_back_memory, run_worker
 
 log = logging.getLogger(__name__)
-
-# glibc would keep what a long window took for the next one, which may never come: 20 to 100 MB.
-_TRIM: Callable[[int], object] = getattr(ctypes.CDLL(None), "malloc_trim", lambda _: None)
 
 
 class Unwanted(Exception):
@@ -47,7 +43,7 @@ def work_until_end(link: Link, registry: BundleRegistry) -> None:
     while True:
         job, descriptor = link.receive_with_file()
         link.send(_outcome(job, descriptor, registry, report))
-        _TRIM(0)
+        give_back_memory()
 
 
 def _outcome(

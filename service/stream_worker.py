@@ -13,8 +13,8 @@ from service.inference.registry import BundleRegistry
 from service.settings import Settings
 from service.startup import warm_up
 from service.streaming.host import StreamHost
-from service.streaming.work import Check, Outcome, Work
-from service.worker_link import READY, Link, run_worker
+from service.streaming.work import Check, Close, Outcome, Work
+from service.worker_link import READY, Link, give_back_memory, run_worker
 
 CHECK_DUTY = 0.03
 """Share of the time that looks at channels may take: a tenth of a second slows the results of all
@@ -37,6 +37,8 @@ def work_until_end(link: Link, host: StreamHost) -> None:
         outcome = host.perform(work)
         if outcome is not None:
             link.send((number, outcome, time.monotonic() - began))
+        if isinstance(work, Close):
+            give_back_memory()
 
 
 def _received(link: Link) -> tuple[int, Work]:
