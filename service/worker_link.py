@@ -98,7 +98,7 @@ def run_worker(serve: Callable[[Link, Settings, BundleRegistry], None]) -> None:
 
 
 def give_back_memory() -> None:
-    """Return to the system what is not needed, once a stream or recording is done.
+    """Return to the system what is not needed, after a stream, a recording or a reload.
 
     glibc would keep what a long window took for the next one, which may never come: 20 to 100 MB.
     """

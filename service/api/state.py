@@ -22,7 +22,7 @@ from service.settings import Settings
 from service.startup import load_registry
 from service.streaming.registry import SessionRegistry
 from service.traces import Traces
-from service.worker_link import Setup
+from service.worker_link import Setup, give_back_memory
 
 log = logging.getLogger(__name__)
 
@@ -126,6 +126,7 @@ class ServiceState:
                     f"{error.detail}; the models that were loaded go on serving"
                 ) from error
             self.registry = registry
+            give_back_memory()
         self.metrics.reloaded(ok=True)
         names = ", ".join(f"{b.manifest.name} {b.manifest.version}" for b in registry.bundles)
         log.info("the models were reloaded: %s", names)
