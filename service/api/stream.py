@@ -30,6 +30,7 @@ from service.protocol.server_messages import OdasSsl, OdasSst, Result, ServerMes
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session
 from service.streaming.work import Close, Outcome
+from service.worker_link import give_back_memory
 
 TICK_S = 1.0
 """Seconds between looks at the clock"""
@@ -126,6 +127,8 @@ class Connection:
             self._worker.submit(Close(self.session.id))
             self._stream_workers.release(self._worker)
             self._streams.end(self._entry)
+            if not self._streams.running:
+                give_back_memory()
             self._watch.ended(self._entry.client)
 
     def pump(self) -> None:
