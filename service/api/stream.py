@@ -87,7 +87,6 @@ class Connection:
         self._loop = asyncio.get_running_loop()
         self._stream_workers = state.stream_workers
         self._worker = state.stream_workers.assign()
-        self._worker.sessions += 1
         self._streams = state.streams
         self._most = settings.max_sessions_per_client
         self._outbox = Outbox()

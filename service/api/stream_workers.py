@@ -167,13 +167,18 @@ class StreamWorkers:
         self._ending: set[asyncio.Task[None]] = set()
 
     def assign(self) -> StreamWorker:
-        """The worker with the fewest sessions; another one is started where all have enough."""
+        """A place at the worker with the fewest sessions, until ``release``.
+
+        Another one is started where all have enough.
+        """
         self._workers = [worker for worker in self._workers if not worker.lost]
         current = [worker for worker in self._workers if not worker.retired]
         if len(current) < self._most and all(each.sessions >= ENOUGH for each in current):
             assert self.setup is not None
             current.append(self._started(self.setup))
-        return min(current, key=lambda each: each.sessions)
+        worker = min(current, key=lambda each: each.sessions)
+        worker.sessions += 1
+        return worker
 
     def release(self, worker: StreamWorker) -> None:
         """One session of this worker has ended."""
@@ -188,7 +193,9 @@ class StreamWorkers:
 
     async def start(self) -> None:
         """Start the first worker and wait until it is ready."""
-        await self.assign().ready.wait()
+        worker = self.assign()
+        await worker.ready.wait()
+        self.release(worker)
 
     async def renew(self, setup: Setup) -> None:
         """Let new sessions go to workers with a new setup; running ones stay where they are.
