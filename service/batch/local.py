@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from queue import SimpleQueue
 
 from service.batch.archive import FoundRecording
@@ -65,12 +66,16 @@ def _work(
         worker = BatchWorker(plan)
         workers.append(worker)
         try:
-            while waiting:
-                found = waiting.popleft()
+            for found in _taken(waiting):
                 heard.put(worker.record(found, lambda *share: heard.put(share)))
         finally:
             worker.end()
-    except IndexError:  # another thread took the last one
-        return
     except BaseException as error:
         heard.put(error)
+
+
+def _taken(waiting: deque[FoundRecording]) -> Iterator[FoundRecording]:
+    """What waits, one by one, until other threads have taken the last one."""
+    with suppress(IndexError):
+        while True:
+            yield waiting.popleft()
