@@ -9,6 +9,8 @@ from model_export.scenes import SceneConfig
 from service.doa.spectrogram import PhaseReference
 
 Variant = Literal["weights", "regression", "sscl"]
+Trunk = Literal["strided", "stacked"]
+"""First convolutions of the `weights` variant's network"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +40,9 @@ class TrainingConfig:
     """Preset that the run is bound to; None draws random arrays from the room bank"""
     starts_from: str | None = None
     """Name of the run whose parameters this one starts from"""
+    trunk: Trunk = "strided"
+    distils: bool = False
+    """Whether the run that this one starts from teaches it its weights and attentions"""
     scenes: SceneConfig = field(default_factory=SceneConfig)
     short_windows: float = 0.0
     """Share of the `weights` variant's batches that are cut to half a second"""
@@ -101,6 +106,21 @@ ANY_ARRAY_NOISE = replace(
 )
 """More of the noise in which errors are large"""
 
+ANY_ARRAY_NARROW = replace(
+    ANY_ARRAY,
+    name="any-array-narrow",
+    starts_from="any-array-noise",
+    distils=True,
+    trunk="stacked",
+    steps=8000,
+    learning_rate=3e-3,
+    short_windows=0.15,
+    scenes=replace(ANY_ARRAY.scenes, snr_db=(-8.0, 35.0)),
+    batches_per_chunk=12,
+    seed=4,
+)
+"""Half the cost: three convolutions on stacked bins, taught by the wider network"""
+
 PAPER_SCENES = SceneConfig(
     source_counts=(0.05, 0.5, 0.35, 0.10),
     snr_db=(0.0, 35.0),
@@ -134,7 +154,14 @@ PAPER = TrainingConfig(
 
 CONFIGS = {
     config.name: config
-    for config in (ANY_ARRAY, ANY_ARRAY_FINE, ANY_ARRAY_NOISE, PAPER_SSCL, PAPER)
+    for config in (
+        ANY_ARRAY,
+        ANY_ARRAY_FINE,
+        ANY_ARRAY_NOISE,
+        ANY_ARRAY_NARROW,
+        PAPER_SSCL,
+        PAPER,
+    )
 }
 
 

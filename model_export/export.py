@@ -65,6 +65,7 @@ class ExportGraph:
 
     network: nn.Module
     examples: tuple[torch.Tensor, ...]
+    """The features and, for a stream, its states, which the network takes as further arguments"""
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     dynamic: tuple[Mapping[int, str], ...]
@@ -76,7 +77,8 @@ def export_onnx(graph: ExportGraph, path: Path) -> Graph:
     graph.network.eval()
     names = {name for axes in graph.dynamic for name in axes.values()}
     dims = {name: torch.export.Dim(name, min=1, max=65536) for name in names}
-    shapes = tuple({axis: dims[name] for axis, name in axes.items()} for axes in graph.dynamic)
+    shapes = [{axis: dims[name] for axis, name in axes.items()} for axes in graph.dynamic]
+    states = [tuple(shapes[1:])] if len(shapes) > 1 else []  # the arguments behind a star
     # The exporter warns of its own internals and of libraries that it does not need.
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     with warnings.catch_warnings():
@@ -86,7 +88,7 @@ def export_onnx(graph: ExportGraph, path: Path) -> Graph:
             graph.examples,
             input_names=list(graph.inputs),
             output_names=list(graph.outputs),
-            dynamic_shapes=shapes,
+            dynamic_shapes=(shapes[0], *states),
             dynamo=True,
             optimize=True,
             verbose=False,

@@ -83,10 +83,10 @@ def covariance_graph(pipeline: WeightsPipeline) -> ExportGraph:
     """Features to weights and attentions, for any number of windows and frames."""
     return ExportGraph(
         pipeline.network,
-        (torch.zeros(2, NUM_FEATURES, STFT.num_bins - FIRST_BIN, FRAMES),),
+        (torch.zeros(2, NUM_FEATURES, FRAMES, STFT.num_bins - FIRST_BIN),),
         ("features",),
         ("weights", "attention"),
-        ({0: "batch", 3: "frames"},),
+        ({0: "batch", 2: "frames"},),
     )
 
 

@@ -50,6 +50,10 @@ class Task(Protocol):
 
 def task_of(config: TrainingConfig) -> Task:
     """The task of a configuration, with a freshly initialised model."""
+    if config.distils:
+        from model_export.distil import DistilTask  # it builds on this module
+
+        return DistilTask(config)
     if config.variant == "weights":
         return WeightsTask(config)
     if config.variant == "sscl":
@@ -66,7 +70,7 @@ class WeightsTask:
 
     def __init__(self, config: TrainingConfig) -> None:
         self.config = config
-        self.model = WeightsPipeline()
+        self.model = WeightsPipeline(config.trunk)
 
     def start_from(self, start: Task) -> None:
         self.model.load_state_dict(start.model.state_dict())
@@ -99,7 +103,7 @@ class WeightsTask:
         target = target_spectrum(batch["azimuth"], batch["mask"], batch["grid"], sigma)
         losses = {
             "spectrum": spectrum_cross_entropy(result.fused, target, result.sharpness),
-            "share": _known_cross_entropy(result.direct_share, batch["direct_share"]),
+            "share": known_cross_entropy(result.direct_share, batch["direct_share"]),
         }
         return {"loss": losses["spectrum"] + SHARE_WEIGHT * losses["share"], **losses}
 
@@ -118,7 +122,7 @@ class WeightsTask:
         return result
 
 
-def _known_cross_entropy(logits: Tensor, target: Tensor) -> Tensor:
+def known_cross_entropy(logits: Tensor, target: Tensor) -> Tensor:
     """Mean binary cross entropy over the cells whose target is not NaN."""
     known = torch.isfinite(target)
     if not known.any():

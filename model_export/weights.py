@@ -12,32 +12,38 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from model_export.config import Trunk
 from model_export.subspace import dominance, signal_power, signal_projector
 from service.doa.features import NUM_FEATURES
 from service.inference.weights import BLOCK_FRAMES, CELL_LOADING
 
-FREQUENCY_STRIDE = 4
+BINS_PER_ROW = 4
+CHANNELS = 32
+"""Of the causal blocks and the heads"""
 WINDOW_SHARE = 0.5
 """Attention of a bin's whole window against the sum of its blocks'. The cross entropy would learn
 a tenth: blocks tell talkers apart; but in strong noise the longer average errs less."""
 
 
 class PastContext(nn.Module):
-    """Residual causal convolution in time: what a bin did up to ``2 * dilation`` frames before."""
+    """Residual causal convolution in time: what a row did up to ``2 * dilation`` frames before."""
 
     def __init__(self, channels: int, dilation: int) -> None:
         super().__init__()
         self.reach = 2 * dilation
-        self.convolution = nn.Conv2d(channels, channels, (1, 3), dilation=(1, dilation), bias=False)
+        self.convolution = nn.Conv2d(channels, channels, (3, 1), dilation=(dilation, 1), bias=False)
         self.norm = nn.BatchNorm2d(channels)
 
     def forward(self, hidden: Tensor) -> Tensor:
-        past = F.pad(hidden, (self.reach, 0))
-        return F.relu(hidden + self.norm(self.convolution(past)))
+        return self.step(after_silence(hidden, self.reach), hidden)
+
+    def step(self, joined: Tensor, hidden: Tensor) -> Tensor:
+        """The frames ``hidden``, given them and ``reach`` frames before them."""
+        return F.relu(hidden + self.norm(self.convolution(joined)))
 
 
 class BandContext(nn.Module):
-    """Residual causal convolution of the band's mean: what all bins together do in time."""
+    """Residual causal convolution of the band's mean: what all rows together do in time."""
 
     def __init__(self, channels: int, length: int = 5) -> None:
         super().__init__()
@@ -46,76 +52,153 @@ class BandContext(nn.Module):
         self.second = nn.Conv1d(channels, channels, length)
 
     def forward(self, hidden: Tensor) -> Tensor:
-        band = hidden.mean(2)  # (B, C, L)
-        band = F.relu(self.first(F.pad(band, (self.reach, 0))))
-        return hidden + self.second(F.pad(band, (self.reach, 0)))[:, :, None]
+        band = self.convolve(after_silence(self.mean(hidden), self.reach))
+        return self.step(after_silence(band, self.reach), hidden)
+
+    @staticmethod
+    def mean(hidden: Tensor) -> Tensor:
+        """Mean (B, C, L, 1) over the rows of (B, C, L, R)."""
+        return F.avg_pool2d(hidden, (1, hidden.shape[3]))
+
+    def convolve(self, band: Tensor) -> Tensor:
+        """The first convolution of ``band`` (B, C, reach + L, 1)."""
+        return F.relu(_along_time(band, self.first))
+
+    def step(self, band: Tensor, hidden: Tensor) -> Tensor:
+        """``hidden`` and in every row the second convolution of ``band`` (B, C, reach + L, 1)."""
+        # As an image of one row that is enlarged, onnxruntime keeps its blocked layout throughout.
+        scale = (1.0, float(hidden.shape[3]))
+        band = _along_time(band, self.second)
+        return hidden + F.interpolate(band, scale_factor=scale, mode="nearest")
+
+
+def after_silence(hidden: Tensor, frames: int) -> Tensor:
+    """(B, C, L, R) behind ``frames`` zeros."""
+    return F.pad(hidden, (0, 0, frames, 0))
+
+
+def _along_time(image: Tensor, convolution: nn.Conv1d) -> Tensor:
+    """A convolution over the frames of (B, C, L, 1)."""
+    return F.conv2d(image, convolution.weight[..., None], convolution.bias)
+
+
+class Ahead(nn.Sequential):
+    """Three frames, one of them ahead, by ``width`` bins or rows, every ``stride`` of them."""
+
+    def __init__(self, inputs: int, outputs: int, width: int = 3, stride: int = 1) -> None:
+        super().__init__(
+            nn.Conv2d(
+                inputs,
+                outputs,
+                (3, width),
+                stride=(1, stride),
+                padding=(0, width // 2),
+                bias=False,
+            ),
+            nn.BatchNorm2d(outputs),
+            nn.ReLU(),
+        )
+
+    def forward(self, hidden: Tensor) -> Tensor:
+        return self.step(F.pad(hidden, (0, 0, 1, 1)))
+
+    def step(self, joined: Tensor) -> Tensor:
+        """L frames of (B, C, 1 + L + 1, R), the first and the last left out."""
+        result: Tensor = super().forward(joined)
+        return result
+
+
+def _trunk(trunk: Trunk) -> list[Ahead]:
+    """The convolutions that look ahead, one frame each, to (B, 32, L, F/4)."""
+    if trunk == "strided":
+        return [
+            Ahead(NUM_FEATURES + 1, 24, 5, 2),
+            Ahead(24, 32, 5, 2),
+            Ahead(32, 40),
+            Ahead(40, CHANNELS),
+        ]
+    return [
+        Ahead(BINS_PER_ROW * (NUM_FEATURES + 1), CHANNELS),
+        Ahead(CHANNELS, CHANNELS),
+        Ahead(CHANNELS, CHANNELS),
+    ]
 
 
 class WeightsNetwork(nn.Module):
     """Convolutions without pooling in time: features to weights and attentions.
 
-    Input (B, 5, F, L), F a multiple of 4; output weights and attentions, each (B, F, L), in (0, 1)
-    and (0, inf). It looks 4 frames ahead, so that a stream's newest results are 64 ms late at most.
+    Input (B, 5, L, F), F a multiple of 4; output weights and attentions, each (B, L, F), in (0, 1)
+    and (0, inf). Frames come before bins, so that a stream's few frames are long rows. It looks as
+    many frames ahead as its trunk has convolutions, four or three, so that a stream's newest
+    results are 64 ms late at most.
+
+    Parameters
+    ----------
+    trunk : str
+        ``"strided"`` reduces four bins to one row by two strides; ``"stacked"`` takes four bins as
+        channels of one row, which costs half as much (docs/performance.md).
     """
 
-    def __init__(self, channels: tuple[int, int, int, int] = (24, 32, 40, 32)) -> None:
+    def __init__(self, trunk: Trunk = "strided") -> None:
         super().__init__()
-        one, two, three, four = channels
-
-        def block(inputs: int, outputs: int, height: int, stride: int) -> nn.Sequential:
-            return nn.Sequential(
-                nn.Conv2d(
-                    inputs,
-                    outputs,
-                    (height, 3),
-                    stride=(stride, 1),
-                    padding=(height // 2, 1),
-                    bias=False,
-                ),
-                nn.BatchNorm2d(outputs),
-                nn.ReLU(),
-            )
-
+        self.trunk = trunk
+        convolutions = _trunk(trunk)
+        self.lookahead = len(convolutions)
         self.blocks = nn.Sequential(
-            block(NUM_FEATURES + 1, one, 5, 2),  # (B, 24, F/2, L)
-            block(one, two, 5, 2),  # (B, 32, F/4, L)
-            block(two, three, 3, 1),
-            block(three, four, 3, 1),
-            PastContext(four, 2),
-            BandContext(four),
-            PastContext(four, 4),
-            PastContext(four, 8),
+            *convolutions,
+            PastContext(CHANNELS, 2),
+            BandContext(CHANNELS),
+            PastContext(CHANNELS, 4),
+            PastContext(CHANNELS, 8),
         )
-        self.head = nn.Conv2d(four, 2 * FREQUENCY_STRIDE, 1)
-        self.share_head = nn.Conv2d(four, FREQUENCY_STRIDE, 1)
+        self.head = nn.Conv2d(CHANNELS, 2 * BINS_PER_ROW, 1)
+        self.share_head = nn.Conv2d(CHANNELS, BINS_PER_ROW, 1)
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
         return self.cells(self.hidden(features))
 
     def hidden(self, features: Tensor) -> Tensor:
-        """What both heads see, (B, 32, F/4, L)."""
-        batch, _, bins, frames = features.shape
-        # Where a bin lies decides how much an array can hear there; the convolutions cannot tell.
-        height = torch.linspace(-1, 1, bins, device=features.device, dtype=features.dtype)
-        height = height.reshape(1, 1, bins, 1).expand(batch, 1, bins, frames)
-        hidden: Tensor = self.blocks(torch.cat([features, height], 1))
+        """What both heads see, (B, 32, L, F/4)."""
+        hidden: Tensor = self.blocks(self.image(features))
         return hidden
 
+    def image(self, features: Tensor) -> Tensor:
+        """What the first convolution sees: features and where in the band a bin lies."""
+        batch, _, frames, bins = features.shape
+        # Where a bin lies decides how much an array can hear there; the convolutions cannot tell.
+        height = torch.linspace(-1, 1, bins, device=features.device, dtype=features.dtype)
+        height = height.reshape(1, 1, 1, bins)
+        if self.trunk == "stacked":
+            features, height = _stacked(features), _stacked(height)
+        return torch.cat([features, height.expand(batch, -1, frames, -1)], 1)
+
     def cells(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
-        """Weights and attentions of every cell, each (B, F, L)."""
+        """Weights and attentions of every cell, each (B, L, F)."""
         cells = _every_bin(self.head(hidden), 2)
-        return torch.sigmoid(cells[:, 0]), F.softplus(cells[:, 1])
+        return torch.sigmoid(cells[:, 0]), _softplus(cells[:, 1])
 
     def direct_share(self, hidden: Tensor) -> Tensor:
-        """Logits (B, F, L) of the strongest direct sound's share in a cell; only training asks."""
+        """Logits (B, L, F) of the strongest direct sound's share in a cell; only training asks."""
         return _every_bin(self.share_head(hidden), 1)[:, 0]
 
 
-def _every_bin(strided: Tensor, outputs: int) -> Tensor:
-    """From (B, outputs * 4, F/4, L) to (B, outputs, F, L)."""
-    batch, _, rows, frames = strided.shape
-    cells = strided.reshape(batch, outputs, FREQUENCY_STRIDE, rows, frames)
-    return cells.transpose(2, 3).reshape(batch, outputs, rows * FREQUENCY_STRIDE, frames)
+def _softplus(logits: Tensor) -> Tensor:
+    """log(1 + e^x) of operations that onnxruntime vectorises; its own takes five times as long."""
+    return F.relu(logits) + torch.log(1 + torch.exp(-logits.abs()))
+
+
+def _stacked(image: Tensor) -> Tensor:
+    """From (B, C, L, F) to (B, C * 4, L, F/4): four neighbouring bins as channels of one row."""
+    batch, channels, frames, bins = image.shape
+    rows = image.reshape(batch, channels, frames, bins // BINS_PER_ROW, BINS_PER_ROW)
+    return rows.permute(0, 1, 4, 2, 3).reshape(batch, channels * BINS_PER_ROW, frames, -1)
+
+
+def _every_bin(rows: Tensor, outputs: int) -> Tensor:
+    """From (B, outputs * 4, L, F/4) to (B, outputs, L, F)."""
+    batch, _, frames, width = rows.shape
+    cells = rows.reshape(batch, outputs, BINS_PER_ROW, frames, width)
+    return cells.permute(0, 1, 3, 4, 2).reshape(batch, outputs, frames, width * BINS_PER_ROW)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,9 +216,9 @@ class FusedSpectrum:
 class WeightsPipeline(nn.Module):
     """Weights network, block covariances, rank-one MUSIC and fusion over frequency and time."""
 
-    def __init__(self) -> None:
+    def __init__(self, trunk: Trunk = "strided") -> None:
         super().__init__()
-        self.network = WeightsNetwork()
+        self.network = WeightsNetwork(trunk)
         self.log_floor = nn.Parameter(torch.tensor(-4.5))
         """MUSIC's floor for an array that resolves everything: the width of the peaks"""
         self.log_dominance_power = nn.Parameter(torch.tensor(0.0))
@@ -167,10 +250,13 @@ class WeightsPipeline(nn.Module):
         """
         # bfloat16 halves the convolutions' cost on a CPU; what follows needs its digits.
         with torch.autocast(features.device.type, torch.bfloat16, enabled=self.training):
-            hidden = self.network.hidden(features.contiguous(memory_format=torch.channels_last))
+            image = features.transpose(2, 3).contiguous(memory_format=torch.channels_last)
+            hidden = self.network.hidden(image)
             share = self.network.direct_share(hidden)
             weights, attention = self.network.cells(hidden)
-        weights, attention = weights.float(), attention.float()
+        share, weights, attention = (
+            each.float().transpose(1, 2) for each in (share, weights, attention)
+        )
         if bins is not None:
             weights, attention = weights[:, bins], attention[:, bins]
         blocks = block_covariances(spectra, weights)  # (B, F, K, N, N)
@@ -187,7 +273,7 @@ class WeightsPipeline(nn.Module):
         cells = torch.cat([attended, whole], -1) * quality ** self.log_dominance_power.exp()
         total = cells.sum((1, 2)).clamp(min=1e-6)
         fused = torch.einsum("bfk,bfka->ba", cells, spectrum) / total[:, None]
-        return FusedSpectrum(fused, self.log_sharpness.exp(), share.float())
+        return FusedSpectrum(fused, self.log_sharpness.exp(), share)
 
 
 def block_covariances(spectra: Tensor, weights: Tensor) -> Tensor:

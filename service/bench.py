@@ -1,142 +1,184 @@
-"""Cost of one window by stage, beside pyroomacoustics' NormMUSIC on the same windows.
+"""Cost of one window and of one hop of a stream, by stage, beside pyroomacoustics.
 
-CPU time of one thread after a warm-up; medians, since other programs disturb single runs. Absolute
-times tell of the machine, ratios of the program.
+CPU time of this process after a warm-up. Absolute times tell of the machine, ratios of the program:
+every method takes the same windows, and a ratio is the median of the windows' ratios.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 
+from service.bench_stages import window_stages
 from service.doa.array import MicrophoneArray
+from service.doa.presets import preset
 from service.doa.steering import unit_vectors
-from service.doa.stft import Stft
-from service.doa.types import ComplexArray, FloatArray
+from service.doa.types import FloatArray
 from service.inference.bundle import Bundle
-from service.inference.candidates import find_candidates
 from service.inference.classical import BAND, ClassicalLocalizer
 from service.inference.localizer import localizer_of
-from service.inference.weights import (
-    CandidateSearch,
-    analysis_of,
-    block_means,
-    cell_covariances,
-    principal_eigenvectors,
-)
+from service.protocol.client_messages import AudioFormat, OutputOptions
+from service.streaming.buffer import Piece
+from service.streaming.pipeline import StreamPipeline, StreamPlan
 
-T = TypeVar("T")
-WINDOW_SAMPLES = 16640
+SAMPLE_RATE = 16_000
+WINDOW_SAMPLES = 16_640
 """64 frames"""
+HOP_S = 0.1
+"""Between the results of a stream"""
+WARM_UP = 5
+WHOLE_BAND = (0.0, 8000.0)
+"""Hertz: 257 bins, all that the neural window uses, and a half more than speech needs"""
+RING_RADIUS = 0.1
+PEERS = ("NormMUSIC", "MUSIC", "SRP")
+
+Work = Callable[[FloatArray], object]
+InputT = TypeVar("InputT")
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Milliseconds of CPU time per window."""
+    """Milliseconds of CPU time."""
 
-    median: float
-    p99: float
+    spent: FloatArray
+    """One after the other"""
+
+    @property
+    def median(self) -> float:
+        return float(np.median(self.spent))
+
+    @property
+    def p99(self) -> float:
+        return float(np.percentile(self.spent, 99))
+
+    def faster_than(self, other: Timing) -> tuple[float, float, float]:
+        """How many times: the windows' lower quartile, median and upper quartile."""
+        low, median, high = np.percentile(other.spent / self.spent, [25, 50, 75])
+        return float(low), float(median), float(high)
 
 
 @dataclass(frozen=True, slots=True)
 class BenchResult:
-    """Timings of one array's windows."""
+    """Timings of one array."""
 
-    array: str
-    microphones: int
+    array: MicrophoneArray
     neural: Timing
     norm_music: Timing
-    peer: Timing | None
-    """pyroomacoustics' NormMUSIC, None where it is not installed"""
-    stages: dict[str, Timing]
-
-    @property
-    def ratio(self) -> float | None:
-        """The neural window's median over the peer's."""
-        return self.neural.median / self.peer.median if self.peer else None
-
-
-def bench(bundle: Bundle, array: MicrophoneArray, repeats: int = 40, seed: int = 1) -> BenchResult:
-    """Time every stage of a `weights` bundle on ``repeats`` windows of two moving noises."""
-    windows = [bench_window(array, seed + index) for index in range(repeats)]
-    localizer = localizer_of(bundle, array)
-    classical = ClassicalLocalizer("norm_music", array)
-    return BenchResult(
-        array=array.name,
-        microphones=array.num_microphones,
-        neural=_time(lambda window: localizer.estimate(window[None], None, 3), windows),
-        norm_music=_time(lambda window: classical.estimate(window[None], 2, 2), windows),
-        peer=_time_peer(array, windows),
-        stages=_time_stages(bundle, array, windows),
-    )
+    """In the whole band, 257 bins"""
+    norm_music_speech: Timing
+    """In the service's own band, 300 to 3500 Hz"""
+    peers: Mapping[str, Timing]
+    """pyroomacoustics' methods in the whole band, its own STFT included; empty without it"""
+    peer_speech: Timing | None
+    """pyroomacoustics' NormMUSIC, 300 to 3500 Hz"""
+    hop: Timing
+    """What 100 ms of a stream cost, from PCM to tracks"""
+    stages: Mapping[str, Timing]
 
 
-def bench_window(array: MicrophoneArray, seed: int) -> FloatArray:
-    """Two noises that come and go from two directions, with sensor noise: (N, T) float32."""
-    rng = np.random.default_rng(seed)
-    directions = unit_vectors(rng.uniform(0, 2 * np.pi, 2))
-    omega = 2 * np.pi * np.fft.rfftfreq(WINDOW_SAMPLES, 1 / 16000)
-    audio = 0.02 * rng.standard_normal((array.num_microphones, WINDOW_SAMPLES))
-    for direction in directions:
-        envelope = np.repeat(rng.uniform(0, 1, 16) ** 2, WINDOW_SAMPLES // 16)
-        spectrum = np.fft.rfft(envelope * rng.standard_normal(WINDOW_SAMPLES))
-        advance = array.positions @ direction / 343.0
-        audio += np.fft.irfft(spectrum * np.exp(1j * omega * advance[:, None]), WINDOW_SAMPLES)
-    return (0.1 * audio).astype(np.float32)
-
-
-def _time_stages(
-    bundle: Bundle, array: MicrophoneArray, windows: Sequence[FloatArray]
-) -> dict[str, Timing]:
-    """The stages one by one, each on what the stage before gives."""
-    search = CandidateSearch(bundle.covariance, analysis_of(bundle), array)
-    spectra = [search.spectra(window[None]) for window in windows]
-    weighed = [search.weigh(s) for s in spectra]
-    weights = [(s[0], w[0][0]) for s, w in zip(spectra, weighed, strict=True)]
-    covariances = [cell_covariances(*pair) for pair in weights]
-    principals = [principal_eigenvectors(covariance) for covariance in covariances]
-    fields = [
-        search.field(search.cell_spectra(principal), block_means(weighing[1][0]), dominance)
-        for (principal, dominance), weighing in zip(principals, weighed, strict=True)
-    ]
-    descriptors = [find_candidates(field).descriptors[None] for field in fields]
+def bench_arrays() -> dict[int, MicrophoneArray]:
+    """Arrays of 4, 8 and 16 microphones."""
+    angle = np.arange(16) * (2 * np.pi / 16)
+    ring = RING_RADIUS * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     return {
-        "stft": _time(lambda window: search.spectra(window[None]), windows),
-        "covariance_net": _time(search.weigh, spectra),
-        "covariance": _time(lambda pair: cell_covariances(*pair), weights),
-        "evd": _time(principal_eigenvectors, covariances),
-        "spectrum": _time(lambda pair: search.cell_spectra(pair[0]), principals),
-        "fusion_and_peaks": _time(find_candidates, fields),
-        "count_net": _time(lambda each: bundle.source_count.run([each]), descriptors),
+        4: preset("respeaker-usb-4mic-v2"),
+        8: preset("av163-circle8"),
+        16: MicrophoneArray("ring of 16", ring),
     }
 
 
-def _time_peer(array: MicrophoneArray, windows: Sequence[FloatArray]) -> Timing | None:
-    try:
-        import pyroomacoustics
-    except ImportError:
-        return None
-    stft = Stft()
-    method = pyroomacoustics.doa.algorithms["NormMUSIC"](
-        array.positions.T, stft.sample_rate, stft.n_fft, num_src=2, n_grid=360, dim=2
+def bench(bundle: Bundle, array: MicrophoneArray, repeats: int = 40, seed: int = 1) -> BenchResult:
+    """Time a `weights` bundle on ``repeats`` windows of two noises that come and go."""
+    windows = [bench_window(array, seed + index) for index in range(repeats)]
+    localizer = localizer_of(bundle, array)
+    wide = ClassicalLocalizer("norm_music", array, band=WHOLE_BAND)
+    speech = ClassicalLocalizer("norm_music", array)
+    works: dict[str, Work] = {
+        "neural": lambda window: localizer.estimate(window[None], None, 3),
+        "norm_music": lambda window: wide.estimate(window[None], 2, 2),
+        "norm_music_speech": lambda window: speech.estimate(window[None], 2, 2),
+        **dict(_peers(array)),
+    }
+    timed = {name: _time(work, windows) for name, work in works.items()}
+    return BenchResult(
+        array=array,
+        neural=timed["neural"],
+        norm_music=timed["norm_music"],
+        norm_music_speech=timed["norm_music_speech"],
+        peers={name: timed[name] for name in PEERS if name in timed},
+        peer_speech=timed.get("NormMUSIC, speech"),
+        hop=_time_hops(bundle, array, windows),
+        stages={
+            name: _time(work, inputs)
+            for name, work, inputs in window_stages(bundle, array, windows)
+        },
     )
 
-    def locate(spectra: ComplexArray) -> None:
-        method.locate_sources(spectra, freq_range=list(BAND))
 
-    return _time(locate, [stft.transform(window) for window in windows])
+def bench_window(array: MicrophoneArray, seed: int, samples: int = WINDOW_SAMPLES) -> FloatArray:
+    """Two noises that come and go from two directions, with sensor noise: (N, T) float32."""
+    rng = np.random.default_rng(seed)
+    directions = unit_vectors(rng.uniform(0, 2 * np.pi, 2))
+    omega = 2 * np.pi * np.fft.rfftfreq(samples, 1 / SAMPLE_RATE)
+    audio = 0.02 * rng.standard_normal((array.num_microphones, samples))
+    for direction in directions:
+        envelope = np.repeat(rng.uniform(0, 1, 16) ** 2, samples // 16)
+        spectrum = np.fft.rfft(envelope * rng.standard_normal(samples))
+        advance = array.positions @ direction / 343.0
+        audio += np.fft.irfft(spectrum * np.exp(1j * omega * advance[:, None]), samples)
+    return (0.1 * audio).astype(np.float32)
 
 
-def _time(work: Callable[[T], object], inputs: Sequence[T]) -> Timing:
-    for each in inputs[:3]:
+def _peers(array: MicrophoneArray) -> Iterator[tuple[str, Work]]:
+    """pyroomacoustics as its users run it: its STFT, 360 azimuths, two sources."""
+    try:
+        import pyroomacoustics as pra
+    except ImportError:
+        return
+    bands = [(name, name, WHOLE_BAND) for name in PEERS]
+    hann = pra.hann(512)
+
+    def locate(doa: Any, band: tuple[float, float], window: FloatArray) -> None:
+        spectra = pra.transform.stft.analysis(window.T, 512, 256, win=hann)
+        doa.locate_sources(spectra.transpose(2, 1, 0), freq_range=list(band))
+
+    for name, method, band in [*bands, ("NormMUSIC, speech", "NormMUSIC", BAND)]:
+        doa = pra.doa.algorithms[method](
+            array.positions.T, SAMPLE_RATE, 512, num_src=2, n_grid=360, dim=2
+        )
+        yield name, partial(locate, doa, band)
+
+
+def _time_hops(bundle: Bundle, array: MicrophoneArray, windows: Sequence[FloatArray]) -> Timing:
+    """Steps of a stream of the windows' audio, each 100 ms."""
+    microphones = array.num_microphones
+    audio = AudioFormat(encoding="pcm_s16le", sample_rate=SAMPLE_RATE, channels=microphones)
+    channel_map = tuple(range(microphones))
+    pipeline = StreamPipeline(StreamPlan(audio, array, channel_map, "neural", bundle, bundle.stft))
+    output = OutputOptions(interval_ms=round(1000 * HOP_S))
+    hop = round(HOP_S * SAMPLE_RATE)
+    pcm = np.clip(32768 * np.concatenate(windows, axis=1).T, -32768, 32767).astype("<i2")
+    pieces = [
+        Piece(start, pcm[start : start + hop].tobytes(), None, 0.0)
+        for start in range(0, len(pcm) - hop, hop)
+    ]
+    return _time(lambda piece: pipeline.step([piece], output), pieces)
+
+
+def _time(work: Callable[[InputT], object], inputs: Sequence[InputT]) -> Timing:
+    """The work on every input, after a warm-up."""
+    for each in inputs[:WARM_UP]:
         work(each)
-    spent = []
-    for each in inputs:
-        start = time.process_time()
-        work(each)
-        spent.append(1000 * (time.process_time() - start))
-    return Timing(float(np.median(spent)), float(np.percentile(spent, 99)))
+    return Timing(np.array([_spent(partial(work, each)) for each in inputs]))
+
+
+def _spent(work: Callable[[], object]) -> float:
+    """Milliseconds of CPU time of all threads."""
+    start = time.process_time_ns()
+    work()
+    return (time.process_time_ns() - start) / 1e6

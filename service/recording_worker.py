@@ -21,9 +21,10 @@ from service.api.recording_job import (
 )
 from service.errors import UNEXPECTED, DoaError
 from service.inference.registry import BundleRegistry
+from service.memory import give_back_memory
 from service.settings import Settings
 from service.startup import warm_up
-from service.worker_link import READY, Link, give_back_memory, run_worker
+from service.worker_link import READY, Link, run_worker
 
 log = logging.getLogger(__name__)
 

@@ -10,11 +10,12 @@ import time
 from queue import SimpleQueue
 
 from service.inference.registry import BundleRegistry
+from service.memory import give_back_memory
 from service.settings import Settings
 from service.startup import warm_up
 from service.streaming.host import StreamHost
 from service.streaming.work import Check, Close, Outcome, Work
-from service.worker_link import READY, Link, give_back_memory, run_worker
+from service.worker_link import READY, Link, run_worker
 
 CHECK_DUTY = 0.03
 """Share of the time that looks at channels may take: a tenth of a second slows the results of all

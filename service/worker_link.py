@@ -6,7 +6,6 @@ other process can reach the socket, which has no name.
 
 from __future__ import annotations
 
-import ctypes
 import os
 import pickle
 import signal
@@ -23,12 +22,11 @@ from typing import Any
 from service.inference.bundle import BundleFiles
 from service.inference.registry import BundleRegistry
 from service.logs import configure_logging
+from service.memory import keep_freed_memory
 from service.settings import Settings
 
 HEADER = struct.Struct("<I")
 READY = "ready"
-_TRIM: Callable[[int], object] = getattr(ctypes.CDLL(None), "malloc_trim", lambda _: None)
-"""Other C libraries than glibc have none"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,20 +87,13 @@ def run_worker(serve: Callable[[Link, Settings, BundleRegistry], None]) -> None:
     """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
+    keep_freed_memory()
     with socket.socket(fileno=int(sys.argv[1])) as connection, suppress(EOFError, OSError):
         link = Link(connection)
         setup: Setup = link.receive()
         settings = setup.settings
         configure_logging(settings, f"{Path(sys.argv[0]).stem}-{os.getpid()}")
         serve(link, settings, BundleRegistry.of_files(setup.bundles, threads=settings.threads))
-
-
-def give_back_memory() -> None:
-    """Return to the system what is not needed, after a stream, a recording or a reload.
-
-    glibc would keep what a long window took for the next one, which may never come: 20 to 100 MB.
-    """
-    _TRIM(0)
 
 
 def worker_environment() -> dict[str, str]:

@@ -17,12 +17,13 @@ from service.auth import Keys
 from service.errors import DoaError, Draining, NotReady, ReloadRefused
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
+from service.memory import give_back_memory
 from service.metrics import Gauges, Metrics
 from service.settings import Settings
 from service.startup import load_registry
 from service.streaming.registry import SessionRegistry
 from service.traces import Traces
-from service.worker_link import Setup, give_back_memory
+from service.worker_link import Setup
 
 log = logging.getLogger(__name__)
 

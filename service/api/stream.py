@@ -24,13 +24,13 @@ from service.errors import (
 )
 from service.key_file import Key
 from service.logs import session_id
+from service.memory import give_back_memory
 from service.protocol import SUBPROTOCOL
 from service.protocol.close_codes import CloseCode
 from service.protocol.server_messages import OdasSsl, OdasSst, Result, ServerMessage, Stats
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session
 from service.streaming.work import Close, Outcome
-from service.worker_link import give_back_memory
 
 TICK_S = 1.0
 """Seconds between looks at the clock"""

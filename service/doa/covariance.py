@@ -6,6 +6,10 @@ import numpy as np
 
 from service.doa.types import ComplexArray, FloatArray
 
+MOST_PLANES = 4
+"""Microphones up to which small matrices cost less entry by entry, over all blocks and bins at
+once, than as thousands of calls of BLAS"""
+
 
 def sample_covariance(spectra: ComplexArray) -> ComplexArray:
     """Average of x x^H over frames.
@@ -28,36 +32,53 @@ def weighted_covariance(
 ) -> ComplexArray:
     """Weighted covariances of consecutive blocks of frames.
 
-    R(f, b) = sum over the frames l of block b of w(f, l) x x^H, with x scaled to unit norm, so that
+    R(b, f) = sum over the frames l of block b of w(f, l) x x^H, with x scaled to unit norm, so that
     the weights alone decide what counts (the normalised time-frequency weights of arXiv
     2302.10147).
 
     Parameters
     ----------
-    spectra : (..., N, F, L) complex64
+    spectra : (N, F, L) complex64
         L a multiple of ``block_frames``.
-    weights : (..., F, L) float32
+    weights : (F, L) float32
         Non-negative.
     block_frames : int
         Frames per block.
 
     Returns
     -------
-    covariance : (..., F, L / block_frames, N, N) complex64
+    covariance : (L / block_frames, F, N, N) complex64
+        Of up to ``MOST_PLANES`` microphones as planes in memory: N x N arrays over blocks and bins.
     """
-    *batch, microphones, bins, frames = spectra.shape
-    power = np.sum(spectra.real**2 + spectra.imag**2, axis=-3)  # (..., F, L)
+    microphones, bins, frames = spectra.shape
+    power = np.sum(spectra.real**2 + spectra.imag**2, axis=0)
     scale = np.sqrt(weights / np.maximum(power, np.finfo(np.float32).tiny))
-    scaled = np.moveaxis(spectra * scale[..., None, :, :], -3, -2)  # (..., F, N, L)
-    blocks = scaled.reshape(*batch, bins, microphones, frames // block_frames, block_frames)
-    blocks = np.moveaxis(blocks, -2, -3)  # (..., F, blocks, N, block_frames)
-    covariance: ComplexArray = blocks @ np.conj(np.swapaxes(blocks, -1, -2))
-    return covariance
+    scaled = np.swapaxes(spectra * scale, 1, 2)  # (N, L, F), the STFT's order in memory
+    blocks = scaled.reshape(microphones, frames // block_frames, block_frames, bins)
+    if microphones > MOST_PLANES:
+        by_bin = np.ascontiguousarray(blocks.transpose(1, 3, 0, 2))  # (K, F, N, block_frames)
+        return by_bin @ np.conj(np.swapaxes(by_bin, -1, -2))
+    conjugate = np.conj(blocks)
+    planes = np.empty((microphones, microphones, len(blocks[0]), bins), dtype=np.complex64)
+    for i in range(microphones):
+        for j in range(i, microphones):
+            np.add.reduce(blocks[i] * conjugate[j], axis=1, out=planes[i, j])
+            np.conjugate(planes[i, j], out=planes[j, i])
+    return planes.transpose(2, 3, 0, 1)
 
 
 def diagonal_loading(covariance: ComplexArray, loading: float) -> ComplexArray:
-    """R + loading I; it bounds the eigenvalues from below and leaves the eigenvectors alone."""
-    loaded: ComplexArray = covariance + loading * np.eye(
-        covariance.shape[-1], dtype=covariance.dtype
-    )
-    return loaded
+    """R + loading I, in place; it bounds the eigenvalues from below, the eigenvectors stay."""
+    diagonal = np.einsum("...ii->...i", covariance)
+    diagonal += np.float32(loading)
+    return covariance
+
+
+def with_sum(blocks: ComplexArray) -> ComplexArray:
+    """Covariances (K, F, N, N) of blocks and, behind them, their sum: (K + 1, F, N, N)."""
+    # In the order in memory that they have: planes stay planes.
+    order = np.argsort(blocks.strides)[::-1]
+    ordered = blocks.transpose(order)
+    axis = int(np.flatnonzero(order == 0)[0])
+    joined = np.concatenate([ordered, ordered.sum(axis=axis, keepdims=True)], axis=axis)
+    return joined.transpose(np.argsort(order))

@@ -32,20 +32,22 @@ def coherence_features(spectra: ComplexArray, mean_power: FloatArray | None = No
     features : (..., 5, F, L) float32
         Log power of the channel vector relative to the mean, its difference to the frame
         before, and |x_t^H x_(t-1)|, |x_t^H x_(t-2)| and |x_f^H x_(f-2)| of vectors of unit norm.
-        Cells without a predecessor hold zeros.
+        Cells without a predecessor hold zeros. In memory frames come before bins.
     """
-    power = np.sum(spectra.real**2 + spectra.imag**2, axis=-3)  # (..., F, L)
+    frames = np.swapaxes(spectra, -1, -2)  # the STFT's order in memory, and the network's
+    power = np.sum(frames.real**2 + frames.imag**2, axis=-3)  # (..., L, F)
     tiny = np.finfo(np.float32).tiny
     reference = power.mean(axis=(-2, -1)) if mean_power is None else mean_power
     mean = np.maximum(reference, tiny)[..., None, None]
     level = np.float32(LEVEL_SCALE) * np.log(power / mean + np.float32(LEVEL_FLOOR))
-    unit = spectra / np.sqrt(np.maximum(power, tiny))[..., None, :, :]
+    unit = frames / np.sqrt(np.maximum(power, tiny))[..., None, :, :]
+    conjugate = np.conj(unit)
     features = np.zeros((*power.shape[:-2], NUM_FEATURES, *power.shape[-2:]), dtype=np.float32)
     features[..., 0, :, :] = level
-    features[..., 1, :, 1:] = np.diff(level, axis=-1)
+    np.subtract(level[..., 1:, :], level[..., :-1, :], out=features[..., 1, 1:, :])
     for lag in (1, 2):
-        product = unit[..., lag:] * np.conj(unit[..., :-lag])
-        features[..., 1 + lag, :, lag:] = np.abs(product.sum(axis=-3))
-    product = unit[..., BIN_LAG:, :] * np.conj(unit[..., :-BIN_LAG, :])
-    features[..., 4, BIN_LAG:, :] = np.abs(product.sum(axis=-3))
-    return features
+        product = unit[..., lag:, :] * conjugate[..., :-lag, :]
+        np.abs(product.sum(axis=-3), out=features[..., 1 + lag, lag:, :])
+    product = unit[..., BIN_LAG:] * conjugate[..., :-BIN_LAG]
+    np.abs(product.sum(axis=-3), out=features[..., 4, :, BIN_LAG:])
+    return np.swapaxes(features, -1, -2)

@@ -59,13 +59,12 @@ def parabolic_offset(spectrum: FloatArray, index: int) -> float:
     The parabola is laid through the reciprocals: near a source the MUSIC denominator is quadratic
     in the angle, so its reciprocal's vertex is exact where the spectrum's own would be biased.
     """
-    size = spectrum.size
-    window = spectrum[[(index - 1) % size, index, (index + 1) % size]].astype(np.float64)
-    before, here, after = 1 / window if window.min() > 0 else -window
+    around = [float(spectrum[place % spectrum.size]) for place in (index - 1, index, index + 1)]
+    before, here, after = (1 / x for x in around) if min(around) > 0 else (-x for x in around)
     curvature = before - 2 * here + after
     if not curvature > 0:
         return 0.0
-    return float(np.clip(0.5 * (before - after) / curvature, -0.5, 0.5))
+    return min(max(0.5 * (before - after) / curvature, -0.5), 0.5)
 
 
 def circular_difference(first: float, second: float) -> float:

@@ -33,11 +33,24 @@ class Candidates:
 
 def find_candidates(field: Field) -> Candidates:
     """Detect and remove up to four sources."""
-    remaining = field.attention
-    blocks = block_fusion(field.cells, remaining)
+    findings = find_findings(field)
+    azimuths = np.full(NUM_CANDIDATES, np.nan)
+    azimuths[: len(findings)] = [finding.azimuth for finding in findings]
+    descriptors = np.zeros((NUM_CANDIDATES, NUM_DESCRIPTORS), dtype=np.float32)
+    if findings:
+        descriptors[: len(findings)] = describe(field, findings)
+        return Candidates(azimuths, descriptors, findings[0].fused)
+    fused = _mean(block_fusion(field.cells, field.attention), field.attention)
+    return Candidates(azimuths, descriptors, fused)
+
+
+def find_findings(field: Field) -> list[Finding]:
+    """The candidates one after the other, each with the state in which it was found."""
     findings: list[Finding] = []
-    fused = first = _mean(blocks, remaining)
-    while len(findings) < NUM_CANDIDATES and field.total > 0:
+    remaining = field.attention
+    while field.total > 0 and len(findings) < NUM_CANDIDATES:
+        blocks = block_fusion(field.cells, remaining)
+        fused = _mean(blocks, remaining)
         peaks = find_peaks(fused, 2)
         if not peaks:
             break
@@ -46,19 +59,12 @@ def find_candidates(field: Field) -> Candidates:
         support = np.where(pointing > REMOVAL_LEVEL, remaining, np.float32(0))
         findings.append(Finding(peaks, index, fused, blocks, pointing, support, remaining))
         remaining = remaining - support
-        blocks = block_fusion(field.cells, remaining)
-        fused = _mean(blocks, remaining)
-    azimuths = np.full(NUM_CANDIDATES, np.nan)
-    descriptors = np.zeros((NUM_CANDIDATES, NUM_DESCRIPTORS), dtype=np.float32)
-    for rank, finding in enumerate(findings):
-        azimuths[rank] = finding.azimuth
-        descriptors[rank] = describe(field, findings[: rank + 1])
-    return Candidates(azimuths, descriptors, first)
+    return findings
 
 
 def block_fusion(cells: FloatArray, attention: FloatArray) -> FloatArray:
-    """Attention-weighted sum over the bins alone: (F, K, A) and (F, K) to (K, A)."""
-    return np.stack([attention[:, block] @ cells[:, block] for block in range(cells.shape[1])])
+    """Attention-weighted sum over the bins alone: (K, F, A) and (K, F) to (K, A)."""
+    return np.stack([weights @ block for weights, block in zip(attention, cells, strict=True)])
 
 
 def _mean(blocks: FloatArray, attention: FloatArray) -> FloatArray:

@@ -34,11 +34,13 @@ class ClassicalLocalizer:
         array: MicrophoneArray,
         stft: Stft | None = None,
         noise: NoiseCovariance | None = None,
+        *,
+        band: tuple[float, float] = BAND,
     ) -> None:
         self._method = method
         self._stft = stft or Stft()
         frequencies = self._stft.frequencies
-        self._band = (frequencies >= BAND[0]) & (frequencies <= BAND[1])
+        self._band = (frequencies >= band[0]) & (frequencies <= band[1])
         self._steering = steering_vectors(array.positions, frequencies[self._band], azimuth_grid())
         self._whitening: Whitening | None = None
         if noise is not None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -19,22 +20,23 @@ NEIGHBOURHOOD = np.deg2rad(20.0)
 """In which blocks may disagree on where a candidate is: two close talkers do, one does not"""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Field:
     """The cells of one window, out of which candidates are taken."""
 
     cells: FloatArray
-    """(F, K, A) float32 MUSIC spectra, maximum 1 each; the last of K is the whole window"""
+    """(K, F, A) float32 MUSIC spectra, maximum 1 each; the last of K is the whole window"""
     attention: FloatArray
-    """(F, K) float32, non-negative"""
+    """(K, F) float32, non-negative"""
     dominance: FloatArray
-    """(F, K) float32 in (0, 1]"""
+    """(K, F) float32 in (0, 1]"""
     num_microphones: int
     resolution: float
     """Of the array, from ``service.doa.steering.resolution``"""
 
-    @property
+    @cached_property
     def total(self) -> float:
+        """Of the attention."""
         return float(self.attention.sum())
 
 
@@ -51,11 +53,11 @@ class Finding:
     blocks: FloatArray
     """(K, A) likewise, before the sum over blocks"""
     pointing: FloatArray
-    """(F, K) the cells' spectra at the peak"""
+    """(K, F) the cells' spectra at the peak"""
     support: FloatArray
-    """(F, K) attention of the cells that belong to it"""
+    """(K, F) attention of the cells that belong to it"""
     remaining: FloatArray
-    """(F, K) attention before it"""
+    """(K, F) attention before it"""
 
     @property
     def azimuth(self) -> float:
@@ -63,35 +65,38 @@ class Finding:
 
 
 def describe(field: Field, findings: Sequence[Finding]) -> FloatArray:
-    """(D,) float32 of the last finding, given those before it."""
-    found = findings[-1]
-    total = field.total
-    support = found.support / np.float32(total)
-    mass = max(float(support.sum()), 1e-9)
-    sharp = np.where(found.pointing > SHARP_LEVEL, found.support, np.float32(0))
-    earlier = [abs(circular_difference(found.azimuth, f.azimuth)) for f in findings[:-1]]
-    spread, drift = _disagreement(found)
-    return np.array(
-        [
-            *_peak_shape(found),
-            float(support.sum()),
-            _spread(support.sum(axis=0)),
-            _spread(support.sum(axis=1)),
-            float(found.remaining.sum()) / total,
-            float(findings[0].fused[found.index]),
-            min(earlier, default=np.pi) / np.pi,
-            float((field.attention * field.dominance).sum()) / total,
-            0.1 * float(np.log(total / field.attention.size + 1e-6)),
-            field.num_microphones / 8,
-            field.resolution,
-            float((support * field.dominance).sum()) / mass,
-            float(sharp.sum()) / total,
-            *_likeness(findings[0].support, found.support),
-            spread,
-            drift,
-        ],
-        dtype=np.float32,
+    """(n, D) float32 of all findings of a window, in the order in which they were found."""
+    total = np.float32(field.total)
+    support = np.stack([found.support for found in findings]) / total  # (n, K, F)
+    pointing = np.stack([found.pointing for found in findings])
+    remaining = np.array([found.remaining.sum() for found in findings]) / total
+    in_time, in_bins = support.sum(axis=2), support.sum(axis=1)  # (n, K), (n, F)
+    mass = in_time.sum(axis=1)
+    sharp = np.where(pointing > SHARP_LEVEL, support, np.float32(0))
+    dominant = (support * field.dominance).sum(axis=(1, 2)) / np.maximum(mass, 1e-9)
+    first = findings[0].fused[[found.index for found in findings]]
+    loudness = 0.1 * np.log(field.total / field.attention.size + 1e-6)
+    same = (
+        float((field.attention * field.dominance).sum()) / field.total,
+        loudness,
+        field.num_microphones / 8,
+        field.resolution,
     )
+    columns = [
+        *np.array([_peak_shape(found) for found in findings]).T,
+        mass,
+        _spread(in_time),
+        _spread(in_bins),
+        remaining,
+        first,
+        _nearest_earlier([found.azimuth for found in findings]),
+        *(np.full(len(findings), value) for value in same),
+        dominant,
+        sharp.sum(axis=(1, 2)),
+        *_likeness(in_time[:, :-1], in_bins),
+        *_disagreement(findings, in_time[:, :-1]),
+    ]
+    return np.stack(columns, axis=1).astype(np.float32)
 
 
 def _peak_shape(found: Finding) -> tuple[float, float, float, float]:
@@ -99,51 +104,63 @@ def _peak_shape(found: Finding) -> tuple[float, float, float, float]:
     peaks, fused = found.peaks, found.fused
     second = peaks[1].height / peaks[0].height if len(peaks) > 1 else 0.0
     step = max(1, round(fused.size / 36))
-    sides = fused[[(found.index - step) % fused.size, (found.index + step) % fused.size]]
-    return peaks[0].height, float(fused.mean()), second, float(sides.mean() / peaks[0].height)
+    before, after = fused[found.index - step], fused[(found.index + step) % fused.size]
+    sides = (float(before) + float(after)) / 2
+    return peaks[0].height, float(fused.mean()), second, sides / peaks[0].height
 
 
-def _likeness(first: FloatArray, support: FloatArray) -> tuple[float, float, float]:
-    """How far a candidate sounds when and where the first does, or a block later.
-
-    Reflections sound with the talker or just after him, in the same bins.
-    """
-    in_time, in_bins = support[:, :-1].sum(axis=0), support.sum(axis=1)
-    first_time, first_bins = first[:, :-1].sum(axis=0), first.sum(axis=1)
-    return (
-        _cosine(in_time, first_time),
-        _cosine(in_time[1:], first_time[:-1]),
-        _cosine(in_bins, first_bins),
+def _nearest_earlier(azimuths: Sequence[float]) -> FloatArray:
+    """(n,) distance of every candidate to the nearest that was found before, in units of pi."""
+    return np.array(
+        [
+            min((abs(circular_difference(a, b)) for b in azimuths[:rank]), default=np.pi) / np.pi
+            for rank, a in enumerate(azimuths)
+        ]
     )
 
 
-def _disagreement(found: Finding) -> tuple[float, float]:
-    """Spread in units of 10 degrees of the blocks' own peaks near the candidate, and its drift.
+def _likeness(in_time: FloatArray, in_bins: FloatArray) -> tuple[FloatArray, ...]:
+    """How far candidates sound when and where the first does, or a block later.
 
-    The drift is the spread's part that goes with time: talkers that take turns.
+    Reflections sound with the talker or just after him, in the same bins.
     """
-    size = found.fused.size
+    return (
+        _cosine(in_time, in_time[0]),
+        _cosine(in_time[:, 1:], in_time[0, :-1]),
+        _cosine(in_bins, in_bins[0]),
+    )
+
+
+def _disagreement(findings: Sequence[Finding], weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Spread in units of 10 degrees of the blocks' own peaks near the candidates, and its drift.
+
+    The drift is the spread's part that goes with time: talkers that take turns. ``weight`` (n, K-1)
+    is what the blocks count.
+    """
+    size = findings[0].fused.size
     reach = round(NEIGHBOURHOOD / (2 * np.pi) * size)
-    near = (found.index + np.arange(-reach, reach + 1)) % size
-    blocks = found.blocks[:-1, near]
-    offset = (blocks.argmax(axis=1) - reach) * (36.0 / size)
-    weight = found.support[:, :-1].sum(axis=0)
-    mass = float(weight.sum())
-    if mass <= 0:
-        return 0.0, 0.0
-    centred = offset - float((weight * offset).sum()) / mass
-    spread = float(np.sqrt((weight * centred**2).sum() / mass))
-    steps = np.minimum(weight[1:], weight[:-1])
-    drift = float((steps * np.abs(np.diff(offset))).sum() / max(float(steps.sum()), 1e-9))
-    return spread, drift
+    around = np.arange(-reach, reach + 1)
+    near = np.stack([found.blocks[:-1, (found.index + around) % size] for found in findings])
+    offset = (near.argmax(axis=2) - reach) * (36.0 / size)  # (n, K - 1)
+    mass = weight.sum(axis=1)
+    known = mass > 0
+    mean = (weight * offset).sum(axis=1) / np.where(known, mass, 1)
+    squares = (weight * np.square(offset - mean[:, None])).sum(axis=1)
+    spread = np.sqrt(squares / np.where(known, mass, 1))
+    steps = np.minimum(weight[:, 1:], weight[:, :-1])
+    moved = (steps * np.abs(np.diff(offset, axis=1))).sum(axis=1)
+    drift = moved / np.maximum(steps.sum(axis=1), 1e-9)
+    return np.where(known, spread, 0), np.where(known, drift, 0)
 
 
-def _spread(weights: FloatArray) -> float:
-    """Over which share of its places a weight is spread: 1 where evenly, 1 / size where at one."""
-    squares = float(np.square(weights).sum()) * weights.size
-    return float(weights.sum()) ** 2 / squares if squares > 0 else 0.0
+def _spread(weights: FloatArray) -> FloatArray:
+    """Over which share of its places a row's weight is spread: 1 where evenly, 1 / size at one."""
+    squares = np.square(weights).sum(axis=1) * weights.shape[1]
+    spread: FloatArray = np.square(weights.sum(axis=1)) / np.where(squares > 0, squares, 1)
+    return spread
 
 
-def _cosine(first: FloatArray, second: FloatArray) -> float:
-    norms = float(np.sqrt(np.square(first).sum() * np.square(second).sum()))
-    return float((first * second).sum()) / norms if norms > 0 else 0.0
+def _cosine(rows: FloatArray, reference: FloatArray) -> FloatArray:
+    norms = np.sqrt(np.square(rows).sum(axis=1) * np.square(reference).sum())
+    cosine: FloatArray = (rows @ reference) / np.where(norms > 0, norms, 1)
+    return cosine

@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.doa.array import MicrophoneArray
-from service.doa.covariance import diagonal_loading, weighted_covariance
+from service.doa.covariance import diagonal_loading, weighted_covariance, with_sum
 from service.doa.features import coherence_features
 from service.doa.mirror import into_searched_half
+from service.doa.rank_one import RankOneMusic
 from service.doa.steering import azimuth_grid, resolution, steering_vectors
 from service.doa.stft import Stft
-from service.doa.subspace import eigenvector_power, principal_eigenvector
+from service.doa.subspace import principal_eigenvector
 from service.doa.types import ComplexArray, FloatArray
 from service.doa.whitening import NoiseCovariance, Whitening
 from service.inference.bundle import Bundle
@@ -68,19 +69,19 @@ class CandidateSearch:
         every = analysis.stft.frequencies[self._bins]
         frequencies = every.reshape(-1, analysis.bins_per_cell).mean(axis=-1)
         grid = azimuth_grid(analysis.grid_size)
-        self._steering = steering_vectors(array.positions, frequencies, grid)
+        steering = steering_vectors(array.positions, frequencies, grid)
         self._whitening: Whitening | None = None
         if noise is not None:
             self._whitening = Whitening.fitting(noise, array, analysis.stft).band(self._bins)
-            self._steering = self._whitening.steering(self._steering)
+            steering = self._whitening.steering(steering)
         # Small arrays see all directions alike: theirs would be one broad peak otherwise.
         self._resolution = resolution(array.positions, frequencies)
-        self._floor = analysis.floor * self._resolution
+        self._music = RankOneMusic(steering, analysis.floor * self._resolution)
 
     def candidates(self, windows: FloatArray) -> list[Candidates]:
         """Candidate sources of every window (B, N, T), before counting."""
         spectra = self.spectra(windows)
-        weights, attention = self.weigh(spectra)
+        weights, attention = self.weigh(self.features(spectra))
         # One window at a time: its spectra are megabytes and stay in the cache.
         return [self._search(*window) for window in zip(spectra, weights, attention, strict=True)]
 
@@ -91,7 +92,7 @@ class CandidateSearch:
         return self.found(self.cell_spectra(principal), block_means(attention), dominance)
 
     def found(self, cells: FloatArray, attention: FloatArray, dominance: FloatArray) -> Candidates:
-        """Candidates from cells (F, K, A), the blocks' attentions (F, K - 1), dominance (F, K)."""
+        """Candidates from cells (K, F, A), the blocks' attentions (K - 1, F), dominance (K, F)."""
         found = find_candidates(self.field(cells, attention, dominance))
         return replace(found, azimuth=into_searched_half(self._array, found.azimuth))
 
@@ -117,45 +118,40 @@ class CandidateSearch:
         band: ComplexArray = spectra[..., self._bins, :]
         return band if self._whitening is None else self._whitening.apply(band)
 
-    def weigh(self, spectra: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    def features(self, spectra: ComplexArray) -> FloatArray:
+        """The covariance network's input (B, 5, L, F)."""
+        return np.swapaxes(coherence_features(spectra), -1, -2)
+
+    def weigh(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Weights and attentions (B, F, L) from the covariance network."""
-        weights, attention = self._covariance.run([coherence_features(spectra)])
-        return weights, attention
+        weights, attention = self._covariance.run([features])
+        return np.swapaxes(weights, 1, 2), np.swapaxes(attention, 1, 2)
 
     def cell_spectra(self, principal: ComplexArray) -> FloatArray:
-        """Rank-one MUSIC of every cell: (F, N, K) to (F, K, A) float32, maximum 1 each.
-
-        P / max P = (1 + floor - max p) / (1 + floor - p) with the power p = |u^H a|^2 / N, so that
-        one pass over the megabytes is enough.
-        """
-        distance = eigenvector_power(principal, self._steering)  # (F, K, A)
-        np.subtract(np.float32(1 + self._floor), distance, out=distance)
-        np.divide(distance.min(axis=-1, keepdims=True), distance, out=distance)
-        return distance
+        """Rank-one MUSIC of every cell: (K, F, N) to (K, F, A) float32, maximum 1 each."""
+        return self._music.spectra(principal)
 
     def attend(self, attention: FloatArray, dominance: FloatArray) -> FloatArray:
-        """What every cell counts in the fusion, (F, K) float32 from (F, K - 1) and (F, K)."""
-        whole = attention.sum(axis=-1, keepdims=True) * np.float32(self._analysis.window_share)
+        """What every cell counts in the fusion, (K, F) float32 from (K - 1, F) and (K, F)."""
+        whole = attention.sum(axis=0, keepdims=True) * np.float32(self._analysis.window_share)
         quality = dominance**self._analysis.dominance_power
-        cells: FloatArray = (np.concatenate([attention, whole], axis=1) * quality).astype(
-            np.float32
-        )
-        return cells
+        return (np.concatenate([attention, whole]) * quality).astype(np.float32, copy=False)
 
 
 def cell_covariances(spectra: ComplexArray, weights: FloatArray) -> ComplexArray:
     """Covariances of a bin's K - 1 blocks and of its whole window.
 
     Blocks tell talkers apart; the whole window, their sum, averages most of the noise.
-    ``spectra`` (N, F, L) and ``weights`` (F, L) give (F, K, N, N) complex64.
+    ``spectra`` (N, F, L) and ``weights`` (F, L) give (K, F, N, N) complex64.
     """
     blocks = diagonal_loading(weighted_covariance(spectra, weights, BLOCK_FRAMES), CELL_LOADING)
-    return np.concatenate([blocks, blocks.sum(axis=1, keepdims=True)], axis=1)
+    return with_sum(blocks)
 
 
 def block_means(attention: FloatArray) -> FloatArray:
-    """Means (F, K - 1) over blocks of frames of attentions (F, L)."""
-    means: FloatArray = attention.reshape(len(attention), -1, BLOCK_FRAMES).mean(axis=-1)
+    """Means (K, F) over blocks of frames of attentions (F, L)."""
+    blocks = attention.T.reshape(-1, BLOCK_FRAMES, len(attention))
+    means: FloatArray = blocks.mean(axis=1)
     return means
 
 
@@ -164,19 +160,19 @@ def principal_eigenvectors(covariance: ComplexArray) -> tuple[ComplexArray, Floa
 
     Parameters
     ----------
-    covariance : (F, K, N, N) complex64
+    covariance : (K, F, N, N) complex64
 
     Returns
     -------
-    principal : (F, N, K) complex64
-        Unit columns, so that a bin's cells meet its steering vectors in one matrix product.
-    dominance : (F, K) float32
+    principal : (K, F, N) complex64
+        Unit vectors.
+    dominance : (K, F) float32
         Share of the largest eigenvalue: 0 in an isotropic field, 1 for a single plane wave.
     """
     vectors, share = principal_eigenvector(covariance)
     microphones = covariance.shape[-1]
     dominance = np.clip((share - 1 / microphones) / (1 - 1 / microphones), 1e-4, 1)
-    return np.swapaxes(vectors, -1, -2), dominance.astype(np.float32)
+    return vectors, dominance.astype(np.float32)
 
 
 class SourceCounter:

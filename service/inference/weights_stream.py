@@ -31,10 +31,6 @@ from service.inference.weights import (
     principal_eigenvectors,
 )
 
-CONTEXT_FRAMES = 8
-"""Frames before the new ones that the network's first convolutions see again"""
-LOOKAHEAD_FRAMES = 4
-"""Newest frames whose weights the next step gives again, having seen what follows"""
 FEATURE_REACH = 2
 """Frames that the features look back"""
 LEVEL_FRAMES = 64
@@ -64,37 +60,38 @@ class NetworkStream:
 
     def __init__(self, engine: Engine, num_microphones: int, num_bins: int) -> None:
         self._engine = engine
-        kept = CONTEXT_FRAMES + FEATURE_REACH
-        self._spectra = np.zeros((num_microphones, num_bins, kept), dtype=np.complex64)
+        self._spectra = np.zeros((num_microphones, FEATURE_REACH, num_bins), dtype=np.complex64)
         self._power: deque[float] = deque(maxlen=LEVEL_FRAMES)
         self._state = engine.initial_state()
 
-    def push(self, spectra: ComplexArray) -> tuple[FloatArray, FloatArray]:
-        """Weights and attentions (F, 4 + L) of the four frames before ``spectra`` (N, F, L) and it.
+    def push(self, frames: ComplexArray) -> tuple[FloatArray, FloatArray]:
+        """Weights and attentions of the newest frames, after ``frames`` (N, L, F).
 
-        The last four columns are provisional.
+        Both are (P + L, F): the P frames before the new ones were provisional and are final now;
+        the newest P are provisional, since the network looks as far ahead.
         """
-        power = np.sum(spectra.real**2 + spectra.imag**2, axis=0).mean(axis=0)
+        power = np.sum(frames.real**2 + frames.imag**2, axis=0).mean(axis=1)
         self._power.extend(power.tolist())
         mean = np.array([sum(self._power) / len(self._power)], dtype=np.float32)
-        joined = np.concatenate([self._spectra, spectra], axis=-1)
-        self._spectra = joined[..., -(CONTEXT_FRAMES + FEATURE_REACH) :]
-        features = coherence_features(joined[None], mean)[..., FEATURE_REACH:]
-        weights, attention, *self._state = self._engine.run([features, *self._state])
+        joined = np.concatenate([self._spectra, frames], axis=1)
+        self._spectra = joined[:, -FEATURE_REACH:].copy()
+        features = coherence_features(np.swapaxes(joined, 1, 2)[None], mean)
+        new = np.swapaxes(features, -1, -2)[:, :, FEATURE_REACH:]
+        weights, attention, *self._state = self._engine.run([new, *self._state])
         return weights[0], attention[0]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Block:
     """Eight frames, or the fewer that an open one has."""
 
     covariance: ComplexArray
-    """(F, N, N), F bins or pairs of them"""
+    """(1, F, N, N), F bins or pairs of them"""
     attention: FloatArray
     """(F,) a mean over eight frames, those that are missing being zero"""
-    cells: FloatArray
-    """(F, A) MUSIC spectra"""
-    dominance: FloatArray
+    cells: FloatArray | None = None
+    """(F, A) MUSIC spectra, once a result has needed them"""
+    dominance: FloatArray | None = None
     """(F,)"""
 
 
@@ -118,56 +115,64 @@ class WeightsStream:
             bundle.covariance_stream, array.num_microphones, analysis.num_bins
         )
         self._closed: deque[_Block] = deque(maxlen=WINDOW_BLOCKS)
-        shape = (analysis.num_bins, 0)
+        shape = (0, analysis.num_bins)
         self._open = np.zeros((array.num_microphones, *shape), dtype=np.complex64)
+        """(N, L, F): frames of blocks that are not final"""
         self._weights = np.zeros(shape, dtype=np.float32)
         self._attention = np.zeros(shape, dtype=np.float32)
 
     def push(self, spectra: ComplexArray) -> None:
         """Take the next frames (N, F, L) of all the STFT's bins, L at least 1."""
-        band = self._search.band(spectra)
-        weights, attention = self._network.push(band)
-        known = max(self._open.shape[-1] - LOOKAHEAD_FRAMES, 0)
-        new = self._open.shape[-1] + band.shape[-1] - known
-        self._weights = np.concatenate([self._weights[:, :known], weights[:, -new:]], axis=1)
-        self._attention = np.concatenate([self._attention[:, :known], attention[:, -new:]], axis=1)
-        self._open = np.concatenate([self._open, band], axis=-1)
-        while self._open.shape[-1] >= BLOCK_FRAMES + LOOKAHEAD_FRAMES:
+        frames = np.swapaxes(self._search.band(spectra), 1, 2)
+        weights, attention = self._network.push(frames)
+        provisional = len(weights) - frames.shape[1]
+        known = max(len(self._weights) - provisional, 0)
+        self._open = np.concatenate([self._open, frames], axis=1)
+        new = known - self._open.shape[1]  # before the stream's first frame there is nothing
+        self._weights = np.concatenate([self._weights[:known], weights[new:]])
+        self._attention = np.concatenate([self._attention[:known], attention[new:]])
+        while len(self._weights) >= BLOCK_FRAMES + provisional:
             self._closed.append(self._block(slice(0, BLOCK_FRAMES)))
-            self._open = self._open[..., BLOCK_FRAMES:]
-            self._weights = self._weights[:, BLOCK_FRAMES:]
-            self._attention = self._attention[:, BLOCK_FRAMES:]
+            self._open = self._open[:, BLOCK_FRAMES:]
+            self._weights = self._weights[BLOCK_FRAMES:]
+            self._attention = self._attention[BLOCK_FRAMES:]
 
     def estimate(self, num_sources: int | None, max_sources: int) -> WindowEstimate:
         """Directions of the last blocks; at least one frame must have been pushed."""
-        starts = range(0, self._open.shape[-1], BLOCK_FRAMES)
+        starts = range(0, len(self._weights), BLOCK_FRAMES)
         opened = [self._block(slice(start, start + BLOCK_FRAMES)) for start in starts]
         blocks = [*self._closed, *opened][-WINDOW_BLOCKS:]
         return self._counter.select([self._candidates(blocks)], num_sources, max_sources)[0]
 
     def _block(self, frames: slice) -> _Block:
-        spectra, weights = self._open[..., frames], self._weights[:, frames]
-        covariance = weighted_covariance(spectra, weights, spectra.shape[-1])
-        attention = self._attention[:, frames].sum(axis=1) / np.float32(BLOCK_FRAMES)
+        spectra, weights = self._open[:, frames], self._weights[frames]
+        length = spectra.shape[1]
+        covariance = weighted_covariance(np.swapaxes(spectra, 1, 2), weights.T, length)
+        attention = self._attention[frames].sum(axis=0) / np.float32(BLOCK_FRAMES)
         if self._bins_per_cell > 1:
-            covariance = covariance[0::2] + covariance[1::2]
+            covariance = covariance[:, 0::2] + covariance[:, 1::2]
             attention = (attention[0::2] + attention[1::2]) / np.float32(2)
-        loaded = diagonal_loading(covariance, CELL_LOADING)
-        cells, dominance = self._spectrum(loaded)
-        return _Block(loaded[:, 0], attention, cells, dominance)
-
-    def _spectrum(self, covariance: ComplexArray) -> tuple[FloatArray, FloatArray]:
-        """MUSIC spectra (F, A) and dominance (F,) of covariances (F, 1, N, N)."""
-        principal, dominance = principal_eigenvectors(covariance)
-        return self._search.cell_spectra(principal)[:, 0], dominance[:, 0]
+        return _Block(diagonal_loading(covariance, CELL_LOADING), attention)
 
     def _candidates(self, blocks: Sequence[_Block]) -> Candidates:
         recency = np.array(RECENCY[: len(blocks)][::-1], dtype=np.float32)
-        pairs = list(zip(blocks, recency, strict=True))
-        whole = np.sum([block.covariance * counts for block, counts in pairs], axis=0)
-        cells, dominance = self._spectrum(whole[:, None])
-        return self._search.found(
-            np.stack([*(block.cells for block in blocks), cells], axis=1),
-            np.stack([block.attention * counts for block, counts in pairs], axis=1),
-            np.stack([*(block.dominance for block in blocks), dominance], axis=1),
+        whole = _Block(
+            np.sum([b.covariance * r for b, r in zip(blocks, recency, strict=True)], axis=0),
+            np.empty(0, dtype=np.float32),
         )
+        rows = [*blocks, whole]
+        self._complete([row for row in rows if row.cells is None])
+        return self._search.found(
+            np.stack([row.cells for row in rows if row.cells is not None]),
+            np.stack([block.attention for block in blocks]) * recency[:, None],
+            np.stack([row.dominance for row in rows if row.dominance is not None]),
+        )
+
+    def _complete(self, blocks: Sequence[_Block]) -> None:
+        """Spectra and dominance of blocks, all at once: small operations cost their calls."""
+        principal, dominance = principal_eigenvectors(
+            np.concatenate([block.covariance for block in blocks])
+        )
+        cells = self._search.cell_spectra(principal)
+        for row, block in enumerate(blocks):
+            block.cells, block.dominance = np.ascontiguousarray(cells[row]), dominance[row]

@@ -1,0 +1,104 @@
+"""Distillation: a narrower network learns what a trained one says of every cell.
+
+Angles are not needed for it, so a step costs the convolutions alone, and every cell of every scene
+is a target. What the teacher was trained for, the spectra, is left to a short stage afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from model_export.scenes import WINDOW_SAMPLES, Scene
+from model_export.tasks import (
+    SHORT_SAMPLES,
+    STFT,
+    Batch,
+    Task,
+    WeightsTask,
+    direct_share,
+    known_cross_entropy,
+)
+from model_export.weights import WeightsNetwork
+from service.doa.features import coherence_features
+
+LEAST_IMPORTANCE = 0.2
+"""Of a cell that the teacher ignores, against 1 of a mean one: it might be attended to elsewhere"""
+SCALE_WEIGHT = 0.1
+"""Of the sum of the attentions, which only the source count looks at"""
+
+
+class DistilTask(WeightsTask):
+    """The `weights` variant, taught by the run that the configuration starts from."""
+
+    _teacher: WeightsNetwork | None = None
+
+    def start_from(self, start: Task) -> None:
+        """Learn from it, and take what fits of its parameters: the blocks after the trunk."""
+        assert isinstance(start, WeightsTask)
+        own = self.model.state_dict()
+        fitting = {
+            name: tensor
+            for name, tensor in start.model.state_dict().items()
+            if not name.startswith("network.blocks")
+        }
+        ahead = start.model.network.lookahead
+        for block in range(ahead, len(start.model.network.blocks)):
+            for name, tensor in start.model.network.blocks[block].state_dict().items():
+                place = block - ahead + self.model.network.lookahead
+                fitting[f"network.blocks.{place}.{name}"] = tensor
+        self.model.load_state_dict(own | fitting)
+        self._teacher = start.model.network.eval().requires_grad_(False)
+
+    def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch:
+        if rng.random() < self.config.short_windows:
+            start = int(rng.integers(WINDOW_SAMPLES - SHORT_SAMPLES))
+            scenes = [scene.crop(start, SHORT_SAMPLES) for scene in scenes]
+        spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))[:, :, 1:]
+        shares = np.stack([direct_share(scene) for scene in scenes])
+        return {
+            "features": torch.from_numpy(coherence_features(spectra)),
+            "direct_share": torch.from_numpy(shares),
+        }
+
+    def losses(self, batch: Batch) -> dict[str, Tensor]:
+        assert self._teacher is not None
+        network = self.model.network
+        features = batch["features"].transpose(2, 3).contiguous(memory_format=torch.channels_last)
+        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.model.training):
+            hidden = network.hidden(features)
+            weights, attention = network.cells(hidden)
+            share = network.direct_share(hidden)
+        with torch.no_grad():
+            taught_weights, taught_attention = self._teacher(features)
+        importance = LEAST_IMPORTANCE + taught_attention / _per_window(taught_attention, "mean")
+        weight_loss = F.binary_cross_entropy(
+            weights.float().clamp(1e-6, 1 - 1e-6), taught_weights, importance
+        ) - F.binary_cross_entropy(taught_weights.clamp(1e-6, 1 - 1e-6), taught_weights, importance)
+        total, taught_total = (_per_window(a.float(), "sum") for a in (attention, taught_attention))
+        taught_share = taught_attention / taught_total
+        divergence = (
+            taught_share * ((taught_share + 1e-12) / (attention.float() / total + 1e-12)).log()
+        )
+        losses = {
+            "weights": weight_loss,
+            "attention": divergence.sum((1, 2)).mean(),
+            "scale": (total / taught_total).log().square().mean(),
+            "share": known_cross_entropy(share.float(), batch["direct_share"].transpose(1, 2)),
+        }
+        loss = losses["weights"] + losses["attention"] + SCALE_WEIGHT * losses["scale"]
+        return {"loss": loss + 0.2 * losses["share"], **losses}
+
+    def scores(self, batch: Batch) -> dict[str, float]:
+        losses = self.losses(batch)
+        return {f"held_{name}": float(losses[name]) for name in ("weights", "attention")}
+
+
+def _per_window(cells: Tensor, reduction: str) -> Tensor:
+    """Sum or mean (B, 1, 1) over the cells of every window, at least the smallest float32."""
+    reduced = cells.sum((1, 2), True) if reduction == "sum" else cells.mean((1, 2), True)
+    return reduced.clamp(min=torch.finfo(torch.float32).tiny)

@@ -1,0 +1,69 @@
+"""MUSIC spectra of single eigenvectors: many cells of a band on one grid of azimuths.
+
+With one signal dimension and ||a||^2 = N the pseudo-spectrum is 1 / (1 - |u^H a|^2 / N + floor).
+Divided by its maximum over the azimuths it is d_min / d with the distance
+d = 1 + floor - |u^H a|^2 / N, so that one division per value is enough.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.doa.covariance import MOST_PLANES
+from service.doa.subspace import eigenvector_power
+from service.doa.types import ComplexArray, FloatArray
+
+
+class RankOneMusic:
+    """The spectra of one array's eigenvectors.
+
+    Parameters
+    ----------
+    steering : (F, N, A) complex64
+    floor : float
+        Width of the peaks.
+    """
+
+    def __init__(self, steering: ComplexArray, floor: float) -> None:
+        self._floor = np.float32(floor)
+        microphones = steering.shape[1]
+        self._pairs = np.triu_indices(microphones, 1)
+        self._steering: ComplexArray | None = None
+        self._products: FloatArray | None = None
+        if microphones > MOST_PLANES:
+            self._steering = steering
+        else:
+            self._products = self._distance_products(steering)
+
+    def _distance_products(self, steering: ComplexArray) -> FloatArray:
+        """What ``_coefficients`` are multiplied with to give distances: (F, 1 + N (N - 1), A).
+
+        |u^H a|^2 = ||u||^2 + sum over pairs of 2 Re(u_i u_j^* a_i^* a_j), all |a_n| being one: for
+        few microphones a real matrix product, less than the complex response and its square.
+        """
+        first, second = self._pairs
+        microphones = steering.shape[1]
+        pairs = np.conj(steering[:, first]) * steering[:, second] * (-2 / microphones)
+        constant = np.full_like(steering[:, :1].real, 1 + self._floor - 1 / microphones)
+        return np.concatenate([constant, pairs.real, -pairs.imag], axis=1, dtype=np.float32)
+
+    def spectra(self, vectors: ComplexArray) -> FloatArray:
+        """Spectra (K, F, A) float32, each with maximum 1, of unit vectors (K, F, N)."""
+        if self._products is not None:
+            distance = self._coefficients(vectors) @ self._products
+        else:
+            assert self._steering is not None
+            by_bin = np.ascontiguousarray(vectors.transpose(1, 2, 0))
+            distance = eigenvector_power(by_bin, self._steering)
+            np.subtract(1 + self._floor, distance, out=distance)
+        np.divide(distance.min(axis=-1, keepdims=True), distance, out=distance)
+        return np.swapaxes(distance, 0, 1)
+
+    def _coefficients(self, vectors: ComplexArray) -> FloatArray:
+        """1 and real and imaginary parts of u_i u_j^* of all pairs: (F, K, 1 + N (N - 1))."""
+        first, second = self._pairs
+        planes = np.moveaxis(vectors, -1, 0)  # (N, K, F)
+        pairs = planes[first] * np.conj(planes[second])
+        ones = np.ones_like(pairs[:1].real)
+        rows = np.concatenate([ones, pairs.real, pairs.imag])
+        return np.ascontiguousarray(rows.transpose(2, 1, 0))

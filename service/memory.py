@@ -1,0 +1,38 @@
+"""The C library's allocator, told what this program does: many short-lived arrays of a megabyte.
+
+Where the library has no such calls (only glibc has both), nothing happens.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+
+M_TRIM_THRESHOLD = -1
+M_MMAP_THRESHOLD = -3
+LARGEST_KEPT = 32 * 2**20
+"""Bytes; glibc allows no more. Larger arrays go to the system and come back as zeroed pages"""
+MOST_KEPT = 64 * 2**20
+"""Bytes that stay with a process at the heap's end"""
+
+_library = ctypes.CDLL(None)
+_mallopt: Callable[[int, int], object] = getattr(_library, "mallopt", lambda _what, _value: None)
+_trim: Callable[[int], object] = getattr(_library, "malloc_trim", lambda _keep: None)
+
+
+def keep_freed_memory() -> None:
+    """Let the process use freed arrays again instead of asking the system for zeroed pages.
+
+    A window's arrays are above the size from which glibc maps each one anew: page faults took a
+    fifth of its time.
+    """
+    _mallopt(M_MMAP_THRESHOLD, LARGEST_KEPT)
+    _mallopt(M_TRIM_THRESHOLD, MOST_KEPT)
+
+
+def give_back_memory() -> None:
+    """Return to the system what is not needed, after a stream, a recording or a reload.
+
+    The process would keep what a long window took for the next one, which may never come.
+    """
+    _trim(0)
