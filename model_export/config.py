@@ -121,6 +121,16 @@ ANY_ARRAY_NARROW = replace(
 )
 """Half the cost: three convolutions on stacked bins, taught by the wider network"""
 
+ANY_ARRAY_NARROW_FINE = replace(
+    ANY_ARRAY_NOISE,
+    name="any-array-narrow-fine",
+    starts_from="any-array-narrow",
+    trunk="stacked",
+    scenes=replace(ANY_ARRAY.scenes, snr_db=(-8.0, 35.0)),
+    seed=5,
+)
+"""What distillation left to the spectra"""
+
 PAPER_SCENES = SceneConfig(
     source_counts=(0.05, 0.5, 0.35, 0.10),
     snr_db=(0.0, 35.0),
@@ -159,6 +169,7 @@ CONFIGS = {
         ANY_ARRAY_FINE,
         ANY_ARRAY_NOISE,
         ANY_ARRAY_NARROW,
+        ANY_ARRAY_NARROW_FINE,
         PAPER_SSCL,
         PAPER,
     )

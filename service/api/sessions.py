@@ -60,7 +60,7 @@ class SessionAnswer(Answer):
     @classmethod
     def of(cls, entry: SessionEntry) -> SessionAnswer:
         ready, account = entry.ready, entry.reporter.account
-        last = account.history[-1].points if account.history else ()
+        last = account.history.last
         return cls(
             id=entry.id,
             client=entry.client,
@@ -72,7 +72,7 @@ class SessionAnswer(Answer):
             results=account.results,
             lag_ms=account.lag_ms,
             dropped_s=round(account.dropped_s, 3),
-            num_sources=len(last),
+            num_sources=len(last.points) if last else 0,
             state="running" if entry.running else "ended",
         )
 
@@ -188,7 +188,7 @@ async def _events(entry: SessionEntry, allowed: Callable[[], bool]) -> AsyncIter
 
 def _history(entry: SessionEntry) -> list[tuple[float, float, int, float, bool]]:
     """``[t_end, azimuth_deg, id, confidence, active]`` of every source of the last minute."""
-    history = entry.reporter.account.history
+    history = tuple(entry.reporter.account.history)
     since = history[-1].t_end - HISTORY_S if history else 0.0
     return [
         (result.t_end, point.azimuth_deg, point.id, point.confidence, point.active)

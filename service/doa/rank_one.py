@@ -7,15 +7,18 @@ d = 1 + floor - |u^H a|^2 / N, so that one division per value is enough.
 
 from __future__ import annotations
 
+from weakref import WeakValueDictionary
+
 import numpy as np
 
 from service.doa.covariance import MOST_PLANES
+from service.doa.steering import azimuth_grid, steering_vectors
 from service.doa.subspace import eigenvector_power
 from service.doa.types import ComplexArray, FloatArray
 
 
 class RankOneMusic:
-    """The spectra of one array's eigenvectors.
+    """The spectra of one array's eigenvectors; safe to use from several threads.
 
     Parameters
     ----------
@@ -30,7 +33,8 @@ class RankOneMusic:
         self._pairs = np.triu_indices(microphones, 1)
         self._steering: ComplexArray | None = None
         self._products: FloatArray | None = None
-        if microphones > MOST_PLANES:
+        delays_alone = np.allclose(np.abs(steering), 1, atol=1e-5)  # not whitened
+        if microphones > MOST_PLANES or not delays_alone:
             self._steering = steering
         else:
             self._products = self._distance_products(steering)
@@ -67,3 +71,22 @@ class RankOneMusic:
         ones = np.ones_like(pairs[:1].real)
         rows = np.concatenate([ones, pairs.real, pairs.imag])
         return np.ascontiguousarray(rows.transpose(2, 1, 0))
+
+
+_shared: WeakValueDictionary[tuple[bytes, bytes, int, float], RankOneMusic] = WeakValueDictionary()
+
+
+def shared_music(
+    positions: FloatArray, frequencies: FloatArray, grid_size: int, floor: float
+) -> RankOneMusic:
+    """The spectra of an array (N, 3) on ``azimuth_grid(grid_size)``.
+
+    The same instance for the same array as long as anybody has one: robots of one kind share it,
+    a megabyte or more.
+    """
+    key = (positions.tobytes(), frequencies.tobytes(), grid_size, floor)
+    music = _shared.get(key)
+    if music is None:
+        steering = steering_vectors(positions, frequencies, azimuth_grid(grid_size))
+        music = _shared[key] = RankOneMusic(steering, floor)
+    return music

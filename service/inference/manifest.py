@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-SCHEMA_VERSION: Literal[1] = 1
+SCHEMA_VERSION: Literal[2] = 2
 Variant = Literal["weights", "regression"]
 NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]{0,63}$"
 FILE_PATTERN = r"^[A-Za-z0-9_][A-Za-z0-9._-]{0,63}$"
@@ -55,7 +55,7 @@ class Graph(_Section):
 class Manifest(_Section):
     """Everything that a bundle says of itself."""
 
-    schema_version: Literal[1] = SCHEMA_VERSION
+    schema_version: Literal[2] = SCHEMA_VERSION
     name: str = Field(pattern=NAME_PATTERN)
     version: str
     variant: Variant

@@ -11,7 +11,7 @@ from service.doa.array import MicrophoneArray
 from service.doa.covariance import diagonal_loading, weighted_covariance, with_sum
 from service.doa.features import coherence_features
 from service.doa.mirror import into_searched_half
-from service.doa.rank_one import RankOneMusic
+from service.doa.rank_one import RankOneMusic, shared_music
 from service.doa.steering import azimuth_grid, resolution, steering_vectors
 from service.doa.stft import Stft
 from service.doa.subspace import principal_eigenvector
@@ -68,15 +68,17 @@ class CandidateSearch:
         self._bins = slice(analysis.first_bin, analysis.first_bin + analysis.num_bins)
         every = analysis.stft.frequencies[self._bins]
         frequencies = every.reshape(-1, analysis.bins_per_cell).mean(axis=-1)
-        grid = azimuth_grid(analysis.grid_size)
-        steering = steering_vectors(array.positions, frequencies, grid)
-        self._whitening: Whitening | None = None
-        if noise is not None:
-            self._whitening = Whitening.fitting(noise, array, analysis.stft).band(self._bins)
-            steering = self._whitening.steering(steering)
         # Small arrays see all directions alike: theirs would be one broad peak otherwise.
         self._resolution = resolution(array.positions, frequencies)
-        self._music = RankOneMusic(steering, analysis.floor * self._resolution)
+        floor = analysis.floor * self._resolution
+        self._whitening: Whitening | None = None
+        if noise is None:
+            self._music = shared_music(array.positions, frequencies, analysis.grid_size, floor)
+        else:
+            grid = azimuth_grid(analysis.grid_size)
+            steering = steering_vectors(array.positions, frequencies, grid)
+            self._whitening = Whitening.fitting(noise, array, analysis.stft).band(self._bins)
+            self._music = RankOneMusic(self._whitening.steering(steering), floor)
 
     def candidates(self, windows: FloatArray) -> list[Candidates]:
         """Candidate sources of every window (B, N, T), before counting."""

@@ -35,17 +35,28 @@ FEATURE_REACH = 2
 """Frames that the features look back"""
 LEVEL_FRAMES = 64
 """A second, over which levels are relative to the mean: the network's training window"""
-GRID_SIZE = 180
-"""Azimuths of a stream's spectra, half of a recording's: peaks are wider than 2 degrees, and the
-parabola through three angles does the rest"""
 PAIRED_APERTURE = 0.3
 """Metres; over smaller arrays the phase differs by less than 10 degrees between neighbouring bins,
 so that two of them can share one covariance: 18 % less to compute, the errors 0.1 degrees larger"""
-RECENCY = (1.0, 1.0, 1.0, 0.6, 0.3)
-"""What the blocks of a result count, newest first; 0.51 to 0.66 s with the open ones. Counting all
-five alike finds two who stand 1 % more often and follows one who walks 1.4 degrees worse; four
-blocks follow better still, but take the onset of sensor noise for a talker"""
-WINDOW_BLOCKS = len(RECENCY)
+
+
+@dataclass(frozen=True, slots=True)
+class StreamShape:
+    """What a result of a stream looks back on, and how finely."""
+
+    recency: tuple[float, ...]
+    """What its blocks count, newest first"""
+    grid_size: int
+    """Azimuths of the spectra"""
+    pairs_bins: bool
+    """Whether two bins of a small array share one covariance"""
+
+
+LIVE = StreamShape((1.0, 1.0, 1.0, 0.6, 0.3), 180, pairs_bins=True)
+"""0.51 to 0.66 s with the open blocks. Counting all five alike finds two who stand 1 % more often
+and follows one who walks 1.4 degrees worse; four blocks follow better still, but take the onset of
+sensor noise for a talker. 180 azimuths are half of a recording's: peaks are wider than 2 degrees,
+and the parabola through three angles does the rest"""
 
 
 class NetworkStream:
@@ -98,28 +109,32 @@ class _Block:
 class WeightsStream:
     """One stream of one array's spectra, with a `weights` bundle that has a stream graph."""
 
-    window_frames = WINDOW_BLOCKS * BLOCK_FRAMES
-
     def __init__(
-        self, bundle: Bundle, array: MicrophoneArray, noise: NoiseCovariance | None = None
+        self,
+        bundle: Bundle,
+        array: MicrophoneArray,
+        noise: NoiseCovariance | None = None,
+        shape: StreamShape = LIVE,
     ) -> None:
         assert bundle.covariance_stream is not None
-        paired = noise is None and array.aperture <= PAIRED_APERTURE
+        paired = shape.pairs_bins and noise is None and array.aperture <= PAIRED_APERTURE
         analysis = replace(
-            analysis_of(bundle), grid_size=GRID_SIZE, bins_per_cell=2 if paired else 1
+            analysis_of(bundle), grid_size=shape.grid_size, bins_per_cell=2 if paired else 1
         )
+        self.window_frames = len(shape.recency) * BLOCK_FRAMES
+        self._recency = np.array(shape.recency, dtype=np.float32)
         self._bins_per_cell = analysis.bins_per_cell
         self._search = CandidateSearch(bundle.covariance, analysis, array, noise)
         self._counter = SourceCounter(bundle.source_count)
         self._network = NetworkStream(
             bundle.covariance_stream, array.num_microphones, analysis.num_bins
         )
-        self._closed: deque[_Block] = deque(maxlen=WINDOW_BLOCKS)
-        shape = (0, analysis.num_bins)
-        self._open = np.zeros((array.num_microphones, *shape), dtype=np.complex64)
+        self._closed: deque[_Block] = deque(maxlen=len(shape.recency))
+        empty = (0, analysis.num_bins)
+        self._open = np.zeros((array.num_microphones, *empty), dtype=np.complex64)
         """(N, L, F): frames of blocks that are not final"""
-        self._weights = np.zeros(shape, dtype=np.float32)
-        self._attention = np.zeros(shape, dtype=np.float32)
+        self._weights = np.zeros(empty, dtype=np.float32)
+        self._attention = np.zeros(empty, dtype=np.float32)
 
     def push(self, spectra: ComplexArray) -> None:
         """Take the next frames (N, F, L) of all the STFT's bins, L at least 1."""
@@ -141,7 +156,7 @@ class WeightsStream:
         """Directions of the last blocks; at least one frame must have been pushed."""
         starts = range(0, len(self._weights), BLOCK_FRAMES)
         opened = [self._block(slice(start, start + BLOCK_FRAMES)) for start in starts]
-        blocks = [*self._closed, *opened][-WINDOW_BLOCKS:]
+        blocks = [*self._closed, *opened][-len(self._recency) :]
         return self._counter.select([self._candidates(blocks)], num_sources, max_sources)[0]
 
     def _block(self, frames: slice) -> _Block:
@@ -155,7 +170,7 @@ class WeightsStream:
         return _Block(diagonal_loading(covariance, CELL_LOADING), attention)
 
     def _candidates(self, blocks: Sequence[_Block]) -> Candidates:
-        recency = np.array(RECENCY[: len(blocks)][::-1], dtype=np.float32)
+        recency = self._recency[: len(blocks)][::-1]
         whole = _Block(
             np.sum([b.covariance * r for b, r in zip(blocks, recency, strict=True)], axis=0),
             np.empty(0, dtype=np.float32),

@@ -2,39 +2,19 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from service.doa.orientation import Orientation
 from service.protocol.degrees import azimuth_deg
 from service.protocol.server_messages import TrackSummary
+from service.streaming.history import History, HistoryEntry, Point
 from service.streaming.pipeline import Estimate
 
-HISTORY = 6000
-"""Results that can be exported: ten minutes at 10 Hz"""
 MAX_TRACKS = 256
 LONGEST_LAG_MS = 10_000
 """Longer ones are told apart no more"""
-
-
-@dataclass(frozen=True, slots=True)
-class Point:
-    """One source of one result."""
-
-    id: int
-    azimuth_deg: float
-    confidence: float
-    active: bool
-
-
-@dataclass(frozen=True, slots=True)
-class HistoryEntry:
-    """One result as it is kept."""
-
-    t_end: float
-    capture_time_ns: int | None
-    points: tuple[Point, ...]
 
 
 @dataclass(slots=True)
@@ -60,7 +40,7 @@ class Account:
     """Of the last result"""
     t_end: float = 0.0
     warnings: Counter[str] = field(default_factory=Counter)
-    history: deque[HistoryEntry] = field(default_factory=lambda: deque(maxlen=HISTORY))
+    history: History = field(default_factory=History)
     _heard: dict[int, _Heard] = field(default_factory=dict)
     most_lag_ms: float = 0.0
     """Of all results"""

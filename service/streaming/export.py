@@ -7,7 +7,7 @@ import io
 import json
 from collections.abc import Iterable
 
-from service.streaming.account import HistoryEntry
+from service.streaming.history import HistoryEntry
 
 FORMATS = {"jsonl": "application/jsonl", "csv": "text/csv"}
 COLUMNS = ("t_end", "capture_time_ns", "id", "azimuth_deg", "confidence", "active")

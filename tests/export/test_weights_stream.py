@@ -19,12 +19,11 @@ from service.doa.types import FloatArray
 from service.inference.bundle import load_bundle
 from service.inference.engine import Engine
 from service.inference.registry import EMBEDDED_MODELS
-from service.inference.weights_stream import CONTEXT_FRAMES, LOOKAHEAD_FRAMES
 
 pytestmark = pytest.mark.torch
 
 BINS, FRAMES = 256, 64
-REACH = 4 + 4 + 8 + 8 + 16
+REACH = 3 + 4 + 8 + 8 + 16
 """Frames that the network looks back; before them it saw the window's zero padding"""
 
 
@@ -38,7 +37,7 @@ def network() -> WeightsNetwork:
 @pytest.fixture(scope="module")
 def features() -> FloatArray:
     rng = np.random.default_rng(0)
-    return rng.standard_normal((1, 5, BINS, FRAMES)).astype(np.float32)
+    return rng.standard_normal((1, 5, FRAMES, BINS)).astype(np.float32)
 
 
 @pytest.fixture(scope="module")
@@ -57,22 +56,21 @@ def test_steps_of_any_length_give_the_window(
 ) -> None:
     with torch.no_grad():
         expected = [each.numpy()[0] for each in network(torch.from_numpy(features))]
-    padded = np.pad(features, [(0, 0)] * 3 + [(CONTEXT_FRAMES, 0)])
-    found = [np.zeros((BINS, FRAMES + LOOKAHEAD_FRAMES)) for _ in expected]
+    ahead = network.lookahead
+    found = [np.zeros((FRAMES + ahead, BINS)) for _ in expected]
     state, position = engine.initial_state(), 0
     for step in steps:
         length = min(step, FRAMES - position)
         if length == 0:
             break
-        given_frames = padded[..., position : position + CONTEXT_FRAMES + length]
-        (*outputs,) = engine.run([given_frames, *state])
+        (*outputs,) = engine.run([features[:, :, position : position + length], *state])
         state = outputs[2:]
         for kept, output in zip(found, outputs[:2], strict=True):
-            kept[:, position : position + length + LOOKAHEAD_FRAMES] = output[0]
+            kept[position : position + length + ahead] = output[0]
         position += length
     for kept, whole in zip(found, expected, strict=True):
         # The newest frames saw zeros behind them, as a window's last ones do.
-        difference = np.abs(kept[:, LOOKAHEAD_FRAMES:] - whole)[:, REACH:]
+        difference = np.abs(kept[ahead:] - whole)[REACH:]
         assert difference.max() < 1e-3 * np.abs(whole).max()
 
 
@@ -81,6 +79,6 @@ def test_the_embedded_stream_graph_is_the_embedded_networks(
 ) -> None:
     embedded = load_bundle(EMBEDDED_MODELS / "any-array").covariance_stream
     assert embedded is not None
-    inputs = [features[..., :14], *embedded.initial_state()]
+    inputs = [features[:, :, :6], *embedded.initial_state()]
     for ours, theirs in zip(engine.run(inputs), embedded.run(inputs), strict=True):
         assert np.abs(ours - theirs).max() < 1e-4

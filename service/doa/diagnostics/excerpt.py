@@ -10,19 +10,37 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from service.doa.types import FloatArray
 
 SEGMENT_S = 0.5  # long against a room's delays, short against a turn of speech
-SLOTS = 24  # 12 s: enough cells for every test, and 6 MB for eight channels at 16 kHz
+SLOTS = 24  # 12 s: enough cells for every test, and 3 MB for eight channels at 16 kHz
+FULL_SCALE = 32767
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A stretch of audio (N, T) and its power."""
+    """A stretch of audio and its power; kept with 16 bits below every channel's own peak."""
 
-    audio: FloatArray
+    samples: npt.NDArray[np.int16]
+    """(N, T)"""
+    step: FloatArray
+    """(N, 1) what one of them is worth"""
     power: float
+
+    @classmethod
+    def of(cls, audio: FloatArray, power: float) -> Segment:
+        """Keep audio (N, T)."""
+        peak = np.abs(audio).max(axis=-1, keepdims=True)
+        step = np.maximum(peak, np.finfo(np.float32).tiny) / np.float32(FULL_SCALE)
+        return cls(np.rint(audio / step).astype(np.int16), step, power)
+
+    @property
+    def audio(self) -> FloatArray:
+        """(N, T) float32."""
+        audio: FloatArray = self.samples * self.step
+        return audio
 
 
 class Excerpt:
@@ -60,11 +78,11 @@ class Excerpt:
         if self._slots and self._in_last < self._per_slot:
             self._in_last += 1
             if power > self._slots[-1].power:
-                self._slots[-1] = Segment(audio.copy(), power)
+                self._slots[-1] = Segment.of(audio, power)
             return
         if len(self._slots) == SLOTS:
             self._merge()
-        self._slots.append(Segment(audio.copy(), power))
+        self._slots.append(Segment.of(audio, power))
         self._in_last = 1
 
     def _merge(self) -> None:

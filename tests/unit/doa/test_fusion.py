@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from service.doa.covariance import weighted_covariance
+from service.doa.covariance import weighted_covariance, with_sum
 from service.doa.features import coherence_features
 from service.doa.fusion import attention_fusion, attention_weights, mean_fusion, normalise
 from service.doa.steering import steering_vectors
@@ -39,15 +39,31 @@ def test_attention_follows_the_pooled_spectra() -> None:
     assert 0.5 < attention[1] < 0.52
 
 
-def test_weighted_covariance_is_hermitian_with_unit_frames() -> None:
-    spectra = random_spectra(2, 4, 10, 16)
+@pytest.mark.parametrize("microphones", [2, 4, 5, 8])
+def test_weighted_covariance_is_hermitian_with_unit_frames(microphones: int) -> None:
+    spectra = random_spectra(2, microphones, 10, 16)
     weights = np.random.default_rng(3).uniform(0, 1, (10, 16)).astype(np.float32)
     covariance = weighted_covariance(spectra, weights, 8)
-    assert covariance.shape == (10, 2, 4, 4)
+    assert covariance.shape == (2, 10, microphones, microphones)
     np.testing.assert_allclose(covariance, covariance.conj().swapaxes(-1, -2), atol=1e-6)
     # Frames have unit norm, so the trace is the sum of the block's weights.
     trace = np.trace(covariance, axis1=-2, axis2=-1).real
-    np.testing.assert_allclose(trace, weights.reshape(10, 2, 8).sum(axis=-1), rtol=1e-4)
+    np.testing.assert_allclose(trace, weights.reshape(10, 2, 8).sum(axis=-1).T, rtol=1e-4)
+    unit = spectra / np.linalg.norm(spectra, axis=0)
+    expected = np.einsum("nfl,mfl,fl->lfnm", unit, unit.conj(), weights)
+    np.testing.assert_allclose(covariance[1], expected[8:].sum(axis=0), atol=1e-5)
+
+
+@pytest.mark.parametrize("microphones", [4, 8])
+def test_the_sum_of_blocks_is_their_window(microphones: int) -> None:
+    spectra = random_spectra(2, microphones, 10, 16)
+    weights = np.random.default_rng(3).uniform(0, 1, (10, 16)).astype(np.float32)
+    cells = with_sum(weighted_covariance(spectra, weights, 8))
+    assert cells.shape == (3, 10, microphones, microphones)
+    np.testing.assert_array_equal(cells[:2], weighted_covariance(spectra, weights, 8))
+    np.testing.assert_allclose(
+        cells[2], weighted_covariance(spectra, weights, 16)[0], rtol=1e-3, atol=1e-5
+    )
 
 
 def test_a_weight_of_zero_removes_a_frame() -> None:
