@@ -126,8 +126,10 @@ ANY_ARRAY_NARROW_FINE = replace(
     name="any-array-narrow-fine",
     starts_from="any-array-narrow",
     trunk="stacked",
-    scenes=replace(ANY_ARRAY.scenes, snr_db=(-8.0, 35.0)),
-    seed=5,
+    steps=4000,
+    learning_rate=1e-3,
+    scenes=replace(ANY_ARRAY.scenes, snr_db=(-8.0, 35.0), source_counts=(0.06, 0.44, 0.40, 0.10)),
+    seed=6,
 )
 """What distillation left to the spectra"""
 

@@ -24,7 +24,7 @@ from model_export.tasks import (
     known_cross_entropy,
 )
 from model_export.weights import WeightsNetwork
-from service.doa.features import coherence_features
+from service.doa.features import coherence_features, unit_vectors_and_power
 
 LEAST_IMPORTANCE = 0.2
 """Of a cell that the teacher ignores, against 1 of a mean one: it might be attended to elsewhere"""
@@ -61,7 +61,7 @@ class DistilTask(WeightsTask):
         spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))[:, :, 1:]
         shares = np.stack([direct_share(scene) for scene in scenes])
         return {
-            "features": torch.from_numpy(coherence_features(spectra)),
+            "features": torch.from_numpy(coherence_features(*unit_vectors_and_power(spectra))),
             "direct_share": torch.from_numpy(shares),
         }
 

@@ -23,7 +23,7 @@ from model_export.tasks import STFT, steering_delays
 from model_export.weights import WINDOW_SHARE, WeightsPipeline
 from model_export.weights_stream import stream_graph
 from service.doa.array import MicrophoneArray
-from service.doa.features import NUM_FEATURES, coherence_features
+from service.doa.features import NUM_FEATURES, coherence_features, unit_vectors_and_power
 from service.doa.presets import preset
 from service.doa.steering import azimuth_grid, resolution
 from service.doa.types import FloatArray
@@ -35,7 +35,7 @@ from service.inference.weights import Analysis, CandidateSearch
 
 FIRST_BIN = 1
 FRAMES = 64
-GRID_SIZE = 360
+GRID_SIZE = 180
 PARITY_WINDOWS = 4
 
 
@@ -138,7 +138,7 @@ def reference_spectra(
     products = delay_products(torch.from_numpy(delays), frequencies)
     resolved = resolution(array.positions, STFT.frequencies[FIRST_BIN:])
     result = pipeline(
-        torch.from_numpy(coherence_features(spectra)),
+        torch.from_numpy(coherence_features(*unit_vectors_and_power(spectra))),
         torch.from_numpy(spectra),
         products.expand(len(windows), -1, -1, -1),
         resolution=torch.full((len(windows),), resolved),

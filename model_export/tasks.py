@@ -16,7 +16,7 @@ from model_export.subspace import delay_products
 from model_export.targets import spectrum_cross_entropy, target_spectrum
 from model_export.weights import FusedSpectrum, WeightsPipeline
 from service.doa.array import SPEED_OF_SOUND
-from service.doa.features import coherence_features
+from service.doa.features import coherence_features, unit_vectors_and_power
 from service.doa.steering import resolution, unit_vectors
 from service.doa.stft import Stft
 from service.doa.types import FloatArray
@@ -87,7 +87,7 @@ class WeightsTask:
         shares = np.stack([direct_share(scene) for scene in scenes])
         resolutions = [resolution(array, STFT.frequencies[1:]) for array in positions]
         return {
-            "features": torch.from_numpy(coherence_features(spectra)),
+            "features": torch.from_numpy(coherence_features(*unit_vectors_and_power(spectra))),
             "spectra": torch.from_numpy(np.ascontiguousarray(spectra[:, :, bins])),
             "bins": torch.from_numpy(bins),
             "delays": torch.from_numpy(steering_delays(positions, grid)),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from service.doa.array import MicrophoneArray
+from service.doa.features import unit_vectors_and_power
 from service.doa.peaks import find_peaks
 from service.doa.types import FloatArray
 from service.inference.bundle import Bundle
@@ -35,11 +36,12 @@ def window_stages(
     search = CandidateSearch(bundle.covariance, analysis_of(bundle), array)
     yield "stft", lambda window: search.spectra(window[None]), windows
     spectra = [search.spectra(window[None]) for window in windows]
-    yield "features", search.features, spectra
-    features = [search.features(each) for each in spectra]
+    yield "features", lambda each: search.features(*unit_vectors_and_power(each)), spectra
+    frames = [unit_vectors_and_power(each) for each in spectra]
+    features = [search.features(*each) for each in frames]
     yield "covariance_net", search.weigh, features
     weighed = [search.weigh(each) for each in features]
-    pairs = [(s[0], weights[0]) for s, (weights, _) in zip(spectra, weighed, strict=True)]
+    pairs = [(unit[0], weights[0]) for (unit, _), (weights, _) in zip(frames, weighed, strict=True)]
     yield "covariance", lambda pair: cell_covariances(*pair), pairs
     covariances = [cell_covariances(*pair) for pair in pairs]
     yield "evd", principal_eigenvectors, covariances

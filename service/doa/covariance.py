@@ -27,19 +27,16 @@ def sample_covariance(spectra: ComplexArray) -> ComplexArray:
     return covariance / np.float32(spectra.shape[-1])
 
 
-def weighted_covariance(
-    spectra: ComplexArray, weights: FloatArray, block_frames: int
-) -> ComplexArray:
+def weighted_covariance(unit: ComplexArray, weights: FloatArray, block_frames: int) -> ComplexArray:
     """Weighted covariances of consecutive blocks of frames.
 
-    R(b, f) = sum over the frames l of block b of w(f, l) x x^H, with x scaled to unit norm, so that
-    the weights alone decide what counts (the normalised time-frequency weights of arXiv
-    2302.10147).
+    R(b, f) = sum over the frames l of block b of w(f, l) x x^H, with x of unit norm, so that the
+    weights alone decide what counts (the normalised time-frequency weights of arXiv 2302.10147).
 
     Parameters
     ----------
-    spectra : (N, F, L) complex64
-        L a multiple of ``block_frames``.
+    unit : (N, F, L) complex64
+        Channel vectors of unit norm, L a multiple of ``block_frames``.
     weights : (F, L) float32
         Non-negative.
     block_frames : int
@@ -50,10 +47,8 @@ def weighted_covariance(
     covariance : (L / block_frames, F, N, N) complex64
         Of up to ``MOST_PLANES`` microphones as planes in memory: N x N arrays over blocks and bins.
     """
-    microphones, bins, frames = spectra.shape
-    power = np.sum(spectra.real**2 + spectra.imag**2, axis=0)
-    scale = np.sqrt(weights / np.maximum(power, np.finfo(np.float32).tiny))
-    scaled = np.swapaxes(spectra * scale, 1, 2)  # (N, L, F), the STFT's order in memory
+    microphones, bins, frames = unit.shape
+    scaled = np.swapaxes(unit * np.sqrt(weights), 1, 2)  # (N, L, F), the STFT's order in memory
     blocks = scaled.reshape(microphones, frames // block_frames, block_frames, bins)
     if microphones > MOST_PLANES:
         by_bin = np.ascontiguousarray(blocks.transpose(1, 3, 0, 2))  # (K, F, N, block_frames)

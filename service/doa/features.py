@@ -17,14 +17,41 @@ LEVEL_FLOOR = 1e-5  # of the window's mean power, 50 dB down: quieter cells look
 LEVEL_SCALE = 0.25  # brings the natural logarithm of power to unit spread
 
 
-def coherence_features(spectra: ComplexArray, mean_power: FloatArray | None = None) -> FloatArray:
-    """Level, onset and the coherences of every time-frequency cell with its neighbours.
+def unit_vectors_and_power(spectra: ComplexArray) -> tuple[ComplexArray, FloatArray]:
+    """Every cell's channel vector with unit norm, and its power.
 
     Parameters
     ----------
     spectra : (..., N, F, L) complex64
+
+    Returns
+    -------
+    unit : (..., N, F, L) complex64
+        Zero where there is nothing.
+    power : (..., F, L) float32
+        ||x||^2.
+
+    Both have frames before bins in memory, as the STFT has.
+    """
+    frames = np.swapaxes(spectra, -1, -2)
+    power = np.sum(frames.real**2 + frames.imag**2, axis=-3)  # (..., L, F)
+    # Multiplied: a complex array by a real one divides slowly.
+    scale = 1 / np.sqrt(np.maximum(power, np.finfo(np.float32).tiny))
+    unit = frames * scale[..., None, :, :]
+    return np.swapaxes(unit, -1, -2), np.swapaxes(power, -1, -2)
+
+
+def coherence_features(
+    unit: ComplexArray, power: FloatArray, mean_power: FloatArray | None = None
+) -> FloatArray:
+    """Level, onset and the coherences of every time-frequency cell with its neighbours.
+
+    Parameters
+    ----------
+    unit, power : (..., N, F, L) complex64, (..., F, L) float32
+        From ``unit_vectors_and_power``.
     mean_power : (...,) float32, optional
-        Mean over cells of ||x||^2 that levels are relative to; by default that of ``spectra``. A
+        Mean over cells of ||x||^2 that levels are relative to; by default that of ``power``. A
         stream gives that of its last second with a few frames.
 
     Returns
@@ -34,13 +61,10 @@ def coherence_features(spectra: ComplexArray, mean_power: FloatArray | None = No
         before, and |x_t^H x_(t-1)|, |x_t^H x_(t-2)| and |x_f^H x_(f-2)| of vectors of unit norm.
         Cells without a predecessor hold zeros. In memory frames come before bins.
     """
-    frames = np.swapaxes(spectra, -1, -2)  # the STFT's order in memory, and the network's
-    power = np.sum(frames.real**2 + frames.imag**2, axis=-3)  # (..., L, F)
-    tiny = np.finfo(np.float32).tiny
+    unit, power = np.swapaxes(unit, -1, -2), np.swapaxes(power, -1, -2)
     reference = power.mean(axis=(-2, -1)) if mean_power is None else mean_power
-    mean = np.maximum(reference, tiny)[..., None, None]
+    mean = np.maximum(reference, np.finfo(np.float32).tiny)[..., None, None]
     level = np.float32(LEVEL_SCALE) * np.log(power / mean + np.float32(LEVEL_FLOOR))
-    unit = frames / np.sqrt(np.maximum(power, tiny))[..., None, :, :]
     conjugate = np.conj(unit)
     features = np.zeros((*power.shape[:-2], NUM_FEATURES, *power.shape[-2:]), dtype=np.float32)
     features[..., 0, :, :] = level

@@ -55,7 +55,7 @@ def find_findings(field: Field) -> list[Finding]:
         if not peaks:
             break
         index = round(peaks[0].azimuth / (2 * np.pi) * fused.size) % fused.size
-        pointing = field.cells[:, :, index]
+        pointing = field.cells[:, :, index].copy()
         support = np.where(pointing > REMOVAL_LEVEL, remaining, np.float32(0))
         findings.append(Finding(peaks, index, fused, blocks, pointing, support, remaining))
         remaining = remaining - support

@@ -64,7 +64,8 @@ class Manifest(_Section):
     array: Literal["any"] | BoundArray
     stft: StftSection
     grid_size: int
-    """Azimuths of the spectrum"""
+    """Azimuths of the spectra; of a `weights` bundle for arrays up to 0.3 m, larger ones get twice as
+    many"""
     first_bin: int
     """First STFT bin that the networks see"""
     num_bins: int

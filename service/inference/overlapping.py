@@ -75,5 +75,5 @@ def recording_localizer(
         or hop_samples >= window_samples
     ):
         return localizer_of(bundle, array, noise)
-    shape = StreamShape((1.0,) * blocks, bundle.manifest.grid_size, pairs_bins=False)
+    shape = StreamShape((1.0,) * blocks, pairs_bins=False)
     return OverlappingWindows(WeightsStream(bundle, array, noise, shape), bundle, hop_samples)

@@ -9,7 +9,7 @@ import numpy as np
 
 from service.doa.array import MicrophoneArray
 from service.doa.covariance import diagonal_loading, weighted_covariance, with_sum
-from service.doa.features import coherence_features
+from service.doa.features import coherence_features, unit_vectors_and_power
 from service.doa.mirror import into_searched_half
 from service.doa.rank_one import RankOneMusic, shared_music
 from service.doa.steering import azimuth_grid, resolution, steering_vectors
@@ -24,6 +24,9 @@ from service.inference.engine import Engine
 from service.inference.results import Source, WindowEstimate
 
 BLOCK_FRAMES = 8
+SMALL_APERTURE = 0.3
+"""Metres; over arrays up to it the bundle's grid of azimuths finds peaks as well as one twice as
+fine (docs/performance.md), which larger arrays get"""
 LEAST_CONFIDENCE = 0.5
 """Where the number of sources is estimated: a second or third that is more likely wrong than right
 is left out"""
@@ -42,6 +45,7 @@ class Analysis:
     first_bin: int
     num_bins: int
     grid_size: int
+    """Azimuths of a small array's spectra"""
     floor: float
     """MUSIC's floor, the width of its peaks, of an array that resolves everything"""
     dominance_power: float
@@ -68,29 +72,27 @@ class CandidateSearch:
         self._bins = slice(analysis.first_bin, analysis.first_bin + analysis.num_bins)
         every = analysis.stft.frequencies[self._bins]
         frequencies = every.reshape(-1, analysis.bins_per_cell).mean(axis=-1)
+        grid_size = analysis.grid_size * (1 if array.aperture <= SMALL_APERTURE else 2)
         # Small arrays see all directions alike: theirs would be one broad peak otherwise.
         self._resolution = resolution(array.positions, frequencies)
         floor = analysis.floor * self._resolution
         self._whitening: Whitening | None = None
         if noise is None:
-            self._music = shared_music(array.positions, frequencies, analysis.grid_size, floor)
+            self._music = shared_music(array.positions, frequencies, grid_size, floor)
         else:
-            grid = azimuth_grid(analysis.grid_size)
-            steering = steering_vectors(array.positions, frequencies, grid)
+            steering = steering_vectors(array.positions, frequencies, azimuth_grid(grid_size))
             self._whitening = Whitening.fitting(noise, array, analysis.stft).band(self._bins)
             self._music = RankOneMusic(self._whitening.steering(steering), floor)
 
     def candidates(self, windows: FloatArray) -> list[Candidates]:
         """Candidate sources of every window (B, N, T), before counting."""
-        spectra = self.spectra(windows)
-        weights, attention = self.weigh(self.features(spectra))
+        unit, power = unit_vectors_and_power(self.spectra(windows))
+        weights, attention = self.weigh(self.features(unit, power))
         # One window at a time: its spectra are megabytes and stay in the cache.
-        return [self._search(*window) for window in zip(spectra, weights, attention, strict=True)]
+        return [self._search(*window) for window in zip(unit, weights, attention, strict=True)]
 
-    def _search(
-        self, spectra: ComplexArray, weights: FloatArray, attention: FloatArray
-    ) -> Candidates:
-        principal, dominance = principal_eigenvectors(cell_covariances(spectra, weights))
+    def _search(self, unit: ComplexArray, weights: FloatArray, attention: FloatArray) -> Candidates:
+        principal, dominance = principal_eigenvectors(cell_covariances(unit, weights))
         return self.found(self.cell_spectra(principal), block_means(attention), dominance)
 
     def found(self, cells: FloatArray, attention: FloatArray, dominance: FloatArray) -> Candidates:
@@ -120,9 +122,9 @@ class CandidateSearch:
         band: ComplexArray = spectra[..., self._bins, :]
         return band if self._whitening is None else self._whitening.apply(band)
 
-    def features(self, spectra: ComplexArray) -> FloatArray:
+    def features(self, unit: ComplexArray, power: FloatArray) -> FloatArray:
         """The covariance network's input (B, 5, L, F)."""
-        return np.swapaxes(coherence_features(spectra), -1, -2)
+        return np.swapaxes(coherence_features(unit, power), -1, -2)
 
     def weigh(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Weights and attentions (B, F, L) from the covariance network."""
@@ -140,13 +142,13 @@ class CandidateSearch:
         return (np.concatenate([attention, whole]) * quality).astype(np.float32, copy=False)
 
 
-def cell_covariances(spectra: ComplexArray, weights: FloatArray) -> ComplexArray:
+def cell_covariances(unit: ComplexArray, weights: FloatArray) -> ComplexArray:
     """Covariances of a bin's K - 1 blocks and of its whole window.
 
     Blocks tell talkers apart; the whole window, their sum, averages most of the noise.
-    ``spectra`` (N, F, L) and ``weights`` (F, L) give (K, F, N, N) complex64.
+    ``unit`` (N, F, L) and ``weights`` (F, L) give (K, F, N, N) complex64.
     """
-    blocks = diagonal_loading(weighted_covariance(spectra, weights, BLOCK_FRAMES), CELL_LOADING)
+    blocks = diagonal_loading(weighted_covariance(unit, weights, BLOCK_FRAMES), CELL_LOADING)
     return with_sum(blocks)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from service.doa.array import MicrophoneArray
 from service.doa.covariance import diagonal_loading, weighted_covariance
-from service.doa.features import coherence_features
+from service.doa.features import coherence_features, unit_vectors_and_power
 from service.doa.types import ComplexArray, FloatArray
 from service.doa.whitening import NoiseCovariance
 from service.inference.bundle import Bundle
@@ -25,6 +25,7 @@ from service.inference.results import WindowEstimate
 from service.inference.weights import (
     BLOCK_FRAMES,
     CELL_LOADING,
+    SMALL_APERTURE,
     CandidateSearch,
     SourceCounter,
     analysis_of,
@@ -35,28 +36,23 @@ FEATURE_REACH = 2
 """Frames that the features look back"""
 LEVEL_FRAMES = 64
 """A second, over which levels are relative to the mean: the network's training window"""
-PAIRED_APERTURE = 0.3
-"""Metres; over smaller arrays the phase differs by less than 10 degrees between neighbouring bins,
-so that two of them can share one covariance: 18 % less to compute, the errors 0.1 degrees larger"""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamShape:
-    """What a result of a stream looks back on, and how finely."""
+    """What a result of a stream looks back on."""
 
     recency: tuple[float, ...]
     """What its blocks count, newest first"""
-    grid_size: int
-    """Azimuths of the spectra"""
     pairs_bins: bool
-    """Whether two bins of a small array share one covariance"""
+    """Whether two bins of a small array share one covariance: the phase differs by less than 10
+    degrees between them. 18 % less to compute, errors 0.1 degrees larger"""
 
 
-LIVE = StreamShape((1.0, 1.0, 1.0, 0.6, 0.3), 180, pairs_bins=True)
+LIVE = StreamShape((1.0, 1.0, 1.0, 0.6, 0.3), pairs_bins=True)
 """0.51 to 0.66 s with the open blocks. Counting all five alike finds two who stand 1 % more often
 and follows one who walks 1.4 degrees worse; four blocks follow better still, but take the onset of
-sensor noise for a talker. 180 azimuths are half of a recording's: peaks are wider than 2 degrees,
-and the parabola through three angles does the rest"""
+sensor noise for a talker"""
 
 
 class NetworkStream:
@@ -71,24 +67,29 @@ class NetworkStream:
 
     def __init__(self, engine: Engine, num_microphones: int, num_bins: int) -> None:
         self._engine = engine
-        self._spectra = np.zeros((num_microphones, FEATURE_REACH, num_bins), dtype=np.complex64)
-        self._power: deque[float] = deque(maxlen=LEVEL_FRAMES)
+        self._unit = np.zeros((num_microphones, num_bins, FEATURE_REACH), dtype=np.complex64)
+        self._frame_power = np.zeros((num_bins, FEATURE_REACH), dtype=np.float32)
+        self._means: deque[float] = deque(maxlen=LEVEL_FRAMES)
         self._state = engine.initial_state()
 
-    def push(self, frames: ComplexArray) -> tuple[FloatArray, FloatArray]:
-        """Weights and attentions of the newest frames, after ``frames`` (N, L, F).
+    def push(self, unit: ComplexArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Weights and attentions of the newest frames, after (N, F, L) and (F, L) new ones.
 
         Both are (P + L, F): the P frames before the new ones were provisional and are final now;
         the newest P are provisional, since the network looks as far ahead.
         """
-        power = np.sum(frames.real**2 + frames.imag**2, axis=0).mean(axis=1)
-        self._power.extend(power.tolist())
-        mean = np.array([sum(self._power) / len(self._power)], dtype=np.float32)
-        joined = np.concatenate([self._spectra, frames], axis=1)
-        self._spectra = joined[:, -FEATURE_REACH:].copy()
-        features = coherence_features(np.swapaxes(joined, 1, 2)[None], mean)
-        new = np.swapaxes(features, -1, -2)[:, :, FEATURE_REACH:]
-        weights, attention, *self._state = self._engine.run([new, *self._state])
+        self._means.extend(power.mean(axis=0).tolist())
+        mean = np.array(sum(self._means) / len(self._means), dtype=np.float32)
+        unit = np.concatenate([self._unit, unit], axis=2)
+        power = np.concatenate([self._frame_power, power], axis=1)
+        self._unit, self._frame_power = (
+            unit[..., -FEATURE_REACH:].copy(),
+            power[:, -FEATURE_REACH:].copy(),
+        )
+        features = coherence_features(unit, power, mean)[None, ..., FEATURE_REACH:]
+        weights, attention, *self._state = self._engine.run(
+            [np.swapaxes(features, 2, 3), *self._state]
+        )
         return weights[0], attention[0]
 
 
@@ -117,10 +118,8 @@ class WeightsStream:
         shape: StreamShape = LIVE,
     ) -> None:
         assert bundle.covariance_stream is not None
-        paired = shape.pairs_bins and noise is None and array.aperture <= PAIRED_APERTURE
-        analysis = replace(
-            analysis_of(bundle), grid_size=shape.grid_size, bins_per_cell=2 if paired else 1
-        )
+        paired = shape.pairs_bins and noise is None and array.aperture <= SMALL_APERTURE
+        analysis = replace(analysis_of(bundle), bins_per_cell=2 if paired else 1)
         self.window_frames = len(shape.recency) * BLOCK_FRAMES
         self._recency = np.array(shape.recency, dtype=np.float32)
         self._bins_per_cell = analysis.bins_per_cell
@@ -132,17 +131,17 @@ class WeightsStream:
         self._closed: deque[_Block] = deque(maxlen=len(shape.recency))
         empty = (0, analysis.num_bins)
         self._open = np.zeros((array.num_microphones, *empty), dtype=np.complex64)
-        """(N, L, F): frames of blocks that are not final"""
+        """(N, L, F) of unit norm: frames of blocks that are not final"""
         self._weights = np.zeros(empty, dtype=np.float32)
         self._attention = np.zeros(empty, dtype=np.float32)
 
     def push(self, spectra: ComplexArray) -> None:
         """Take the next frames (N, F, L) of all the STFT's bins, L at least 1."""
-        frames = np.swapaxes(self._search.band(spectra), 1, 2)
-        weights, attention = self._network.push(frames)
-        provisional = len(weights) - frames.shape[1]
+        unit, power = unit_vectors_and_power(self._search.band(spectra))
+        weights, attention = self._network.push(unit, power)
+        provisional = len(weights) - unit.shape[2]
         known = max(len(self._weights) - provisional, 0)
-        self._open = np.concatenate([self._open, frames], axis=1)
+        self._open = np.concatenate([self._open, np.swapaxes(unit, 1, 2)], axis=1)
         new = known - self._open.shape[1]  # before the stream's first frame there is nothing
         self._weights = np.concatenate([self._weights[:known], weights[new:]])
         self._attention = np.concatenate([self._attention[:known], attention[new:]])
@@ -160,9 +159,8 @@ class WeightsStream:
         return self._counter.select([self._candidates(blocks)], num_sources, max_sources)[0]
 
     def _block(self, frames: slice) -> _Block:
-        spectra, weights = self._open[:, frames], self._weights[frames]
-        length = spectra.shape[1]
-        covariance = weighted_covariance(np.swapaxes(spectra, 1, 2), weights.T, length)
+        unit, weights = np.swapaxes(self._open[:, frames], 1, 2), self._weights[frames]
+        covariance = weighted_covariance(unit, weights.T, len(weights))
         attention = self._attention[frames].sum(axis=0) / np.float32(BLOCK_FRAMES)
         if self._bins_per_cell > 1:
             covariance = covariance[:, 0::2] + covariance[:, 1::2]

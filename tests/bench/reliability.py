@@ -22,11 +22,16 @@ def renewed(text: str, folder: Path) -> str:
         figures = folder / f"{name}.json"
         if not figures.exists():
             continue
-        begin, end = BEGIN.format(name=name), END.format(name=name)
-        before, _, rest = text.partition(begin)
-        after = rest.partition(end)[2]
-        text = f"{before}{begin}\n{table(json.loads(figures.read_text()))}\n{end}{after}"
+        text = placed(text, name, table(json.loads(figures.read_text())))
     return text
+
+
+def placed(text: str, name: str, table: str) -> str:
+    """A document with a table between its marks."""
+    begin, end = BEGIN.format(name=name), END.format(name=name)
+    before, _, rest = text.partition(begin)
+    after = rest.partition(end)[2]
+    return f"{before}{begin}\n{table}\n{end}{after}"
 
 
 def faults_table(faults: dict[str, Any]) -> str:

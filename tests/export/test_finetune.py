@@ -32,7 +32,7 @@ from model_export.synthesis import synthetic_voice
 from model_export.tasks import WeightsTask
 from service.cli.inputs import read_array
 from service.doa.array import MicrophoneArray
-from service.doa.features import coherence_features
+from service.doa.features import coherence_features, unit_vectors_and_power
 from service.doa.types import FloatArray
 from service.errors import BundleCorrupt
 from service.inference.bundle import PARAMETERS, file_sha256, load_bundle
@@ -107,7 +107,7 @@ def test_the_parameters_give_the_graphs_outputs(
     model = trained_model(bundle)
     assert digest(model.task.model.state_dict()) == bundle.manifest.training["parameters"]
     spectra = bundle.stft.transform(plane_waves(square, [70.0])[None])[:, :, 1:]
-    features = coherence_features(spectra)
+    features = coherence_features(*unit_vectors_and_power(spectra))
     with torch.no_grad():
         outputs = model.task.model.network(torch.from_numpy(features))
         assert model.source_count is not None
