@@ -15,11 +15,9 @@ from torch import Tensor, nn
 from model_export.config import Trunk
 from model_export.subspace import dominance, signal_power, signal_projector
 from service.doa.features import NUM_FEATURES
-from service.inference.weights import BLOCK_FRAMES, CELL_LOADING
+from service.inference.weights import BLOCK_FRAMES, CELL_LOADING, KEPT_BLOCKS
 
 BINS_PER_ROW = 4
-CHANNELS = 32
-"""Of the causal blocks and the heads"""
 WINDOW_SHARE = 0.5
 """Attention of a bin's whole window against the sum of its blocks'. The cross entropy would learn
 a tenth: blocks tell talkers apart; but in strong noise the longer average errs less."""
@@ -98,6 +96,7 @@ class Ahead(nn.Sequential):
             nn.BatchNorm2d(outputs),
             nn.ReLU(),
         )
+        self.outputs = outputs
 
     def forward(self, hidden: Tensor) -> Tensor:
         return self.step(F.pad(hidden, (0, 0, 1, 1)))
@@ -115,13 +114,12 @@ def _trunk(trunk: Trunk) -> list[Ahead]:
             Ahead(NUM_FEATURES + 1, 24, 5, 2),
             Ahead(24, 32, 5, 2),
             Ahead(32, 40),
-            Ahead(40, CHANNELS),
+            Ahead(40, 32),
         ]
-    return [
-        Ahead(BINS_PER_ROW * (NUM_FEATURES + 1), CHANNELS),
-        Ahead(CHANNELS, CHANNELS),
-        Ahead(CHANNELS, CHANNELS),
-    ]
+    stacked = BINS_PER_ROW * (NUM_FEATURES + 1)
+    if trunk == "slim":
+        return [Ahead(stacked, 32), Ahead(32, 16), Ahead(16, 16)]
+    return [Ahead(stacked, 32), Ahead(32, 32), Ahead(32, 32)]
 
 
 class WeightsNetwork(nn.Module):
@@ -144,15 +142,16 @@ class WeightsNetwork(nn.Module):
         self.trunk = trunk
         convolutions = _trunk(trunk)
         self.lookahead = len(convolutions)
+        channels = convolutions[-1].outputs
         self.blocks = nn.Sequential(
             *convolutions,
-            PastContext(CHANNELS, 2),
-            BandContext(CHANNELS),
-            PastContext(CHANNELS, 4),
-            PastContext(CHANNELS, 8),
+            PastContext(channels, 2),
+            BandContext(channels),
+            PastContext(channels, 4),
+            PastContext(channels, 8),
         )
-        self.head = nn.Conv2d(CHANNELS, 2 * BINS_PER_ROW, 1)
-        self.share_head = nn.Conv2d(CHANNELS, BINS_PER_ROW, 1)
+        self.head = nn.Conv2d(channels, 2 * BINS_PER_ROW, 1)
+        self.share_head = nn.Conv2d(channels, BINS_PER_ROW, 1)
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
         return self.cells(self.hidden(features))
@@ -168,7 +167,7 @@ class WeightsNetwork(nn.Module):
         # Where a bin lies decides how much an array can hear there; the convolutions cannot tell.
         height = torch.linspace(-1, 1, bins, device=features.device, dtype=features.dtype)
         height = height.reshape(1, 1, 1, bins)
-        if self.trunk == "stacked":
+        if self.trunk != "strided":
             features, height = _stacked(features), _stacked(height)
         return torch.cat([features, height.expand(batch, -1, frames, -1)], 1)
 
@@ -269,11 +268,19 @@ class WeightsPipeline(nn.Module):
         spectrum = spectrum / spectrum.amax(-1, keepdim=True)
         attended = attention.unflatten(-1, (-1, BLOCK_FRAMES)).mean(-1)  # (B, F, K)
         whole = attended.sum(-1, keepdim=True) * WINDOW_SHARE
+        attended = _strongest(attended)
         quality = dominance(covariance, projector).clamp(1e-4, 1)
         cells = torch.cat([attended, whole], -1) * quality ** self.log_dominance_power.exp()
         total = cells.sum((1, 2)).clamp(min=1e-6)
         fused = torch.einsum("bfk,bfka->ba", cells, spectrum) / total[:, None]
         return FusedSpectrum(fused, self.log_sharpness.exp(), share)
+
+
+def _strongest(attended: Tensor) -> Tensor:
+    """Attentions (..., K) with only the strongest left, which the service computes spectra of."""
+    count = min(KEPT_BLOCKS, attended.shape[-1])
+    least = attended.topk(count, -1).values[..., -1:]
+    return attended * (attended >= least)
 
 
 def block_covariances(spectra: Tensor, weights: Tensor) -> Tensor:

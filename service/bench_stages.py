@@ -9,10 +9,11 @@ import numpy as np
 
 from service.doa.array import MicrophoneArray
 from service.doa.features import unit_vectors_and_power
+from service.doa.fusion import attention_fusion
 from service.doa.peaks import find_peaks
 from service.doa.types import FloatArray
 from service.inference.bundle import Bundle
-from service.inference.candidates import block_fusion, find_findings
+from service.inference.candidates import find_findings
 from service.inference.descriptors import describe
 from service.inference.weights import (
     CandidateSearch,
@@ -20,6 +21,7 @@ from service.inference.weights import (
     block_means,
     cell_covariances,
     principal_eigenvectors,
+    strongest_blocks,
 )
 
 Stage = tuple[str, Callable[[Any], object], Sequence[Any]]
@@ -41,20 +43,24 @@ def window_stages(
     features = [search.features(*each) for each in frames]
     yield "covariance_net", search.weigh, features
     weighed = [search.weigh(each) for each in features]
-    pairs = [(unit[0], weights[0]) for (unit, _), (weights, _) in zip(frames, weighed, strict=True)]
-    yield "covariance", lambda pair: cell_covariances(*pair), pairs
-    covariances = [cell_covariances(*pair) for pair in pairs]
+    means = [block_means(attention[0]) for _, attention in weighed]
+    chosen = [strongest_blocks(each) for each in means]
+    units = [unit[0] for unit, _ in frames]
+    weights = [each[0] for each, _ in weighed]
+    formed = list(zip(units, weights, chosen, strict=True))
+    yield "covariance", lambda each: cell_covariances(*each), formed
+    covariances = [cell_covariances(*each) for each in formed]
     yield "evd", principal_eigenvectors, covariances
     principals = [principal_eigenvectors(covariance) for covariance in covariances]
     yield "spectrum", lambda principal: search.cell_spectra(principal[0]), principals
     fields = [
-        search.field(search.cell_spectra(vectors), block_means(attention[0]), dominance)
-        for (vectors, dominance), (_, attention) in zip(principals, weighed, strict=True)
+        search.field(search.cell_spectra(vectors), attention, blocks, dominance)
+        for (vectors, dominance), attention, blocks in zip(principals, means, chosen, strict=True)
     ]
     found = [(field, find_findings(field)) for field in fields]
     yield (
         "fusion",
-        lambda each: [block_fusion(each[0].cells, f.remaining) for f in each[1]],
+        lambda each: [attention_fusion(each[0].cells, f.remaining) for f in each[1]],
         found,
     )
     yield (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from service.doa.types import ComplexArray, FloatArray
+from service.doa.types import ComplexArray, FloatArray, IntArray
 
 MOST_PLANES = 4
 """Microphones up to which small matrices cost less entry by entry, over all blocks and bins at
@@ -69,11 +69,21 @@ def diagonal_loading(covariance: ComplexArray, loading: float) -> ComplexArray:
     return covariance
 
 
-def with_sum(blocks: ComplexArray) -> ComplexArray:
-    """Covariances (K, F, N, N) of blocks and, behind them, their sum: (K + 1, F, N, N)."""
-    # In the order in memory that they have: planes stay planes.
-    order = np.argsort(blocks.strides)[::-1]
-    ordered = blocks.transpose(order)
-    axis = int(np.flatnonzero(order == 0)[0])
-    joined = np.concatenate([ordered, ordered.sum(axis=axis, keepdims=True)], axis=axis)
-    return joined.transpose(np.argsort(order))
+def chosen_and_sum(blocks: ComplexArray, chosen: IntArray) -> ComplexArray:
+    """Some of a bin's blocks and, behind them, the sum of all.
+
+    ``blocks`` (K, F, N, N) and the indices ``chosen`` (R, F) give (R + 1, F, N, N) in the order in
+    memory of ``weighted_covariance``.
+    """
+    count, bins = chosen.shape
+    microphones = blocks.shape[-1]
+    if microphones > MOST_PLANES:
+        cells = np.empty((count + 1, bins, microphones, microphones), dtype=blocks.dtype)
+        cells[:-1] = np.take_along_axis(blocks, chosen[..., None, None], axis=0)
+        np.sum(blocks, axis=0, out=cells[-1])
+        return cells
+    planes = np.moveaxis(blocks, (-2, -1), (0, 1))
+    cells = np.empty((microphones, microphones, count + 1, bins), dtype=blocks.dtype)
+    cells[:, :, :-1] = np.take_along_axis(planes, chosen[None, None], axis=2)
+    np.sum(planes, axis=2, out=cells[:, :, -1])
+    return cells.transpose(2, 3, 0, 1)

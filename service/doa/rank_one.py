@@ -52,7 +52,7 @@ class RankOneMusic:
         return np.concatenate([constant, pairs.real, -pairs.imag], axis=1, dtype=np.float32)
 
     def spectra(self, vectors: ComplexArray) -> FloatArray:
-        """Spectra (K, F, A) float32, each with maximum 1, of unit vectors (K, F, N)."""
+        """Spectra (F, K, A) float32, each with maximum 1, of unit vectors (K, F, N)."""
         if self._products is not None:
             distance = self._coefficients(vectors) @ self._products
         else:
@@ -61,7 +61,7 @@ class RankOneMusic:
             distance = eigenvector_power(by_bin, self._steering)
             np.subtract(1 + self._floor, distance, out=distance)
         np.divide(distance.min(axis=-1, keepdims=True), distance, out=distance)
-        return np.swapaxes(distance, 0, 1)
+        return distance
 
     def _coefficients(self, vectors: ComplexArray) -> FloatArray:
         """1 and real and imaginary parts of u_i u_j^* of all pairs: (F, K, 1 + N (N - 1))."""

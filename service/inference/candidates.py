@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from service.doa.fusion import attention_fusion
 from service.doa.peaks import find_peaks
 from service.doa.types import FloatArray
 from service.inference.descriptors import NUM_DESCRIPTORS, Field, Finding, describe
@@ -40,8 +41,7 @@ def find_candidates(field: Field) -> Candidates:
     if findings:
         descriptors[: len(findings)] = describe(field, findings)
         return Candidates(azimuths, descriptors, findings[0].fused)
-    fused = _mean(block_fusion(field.cells, field.attention), field.attention)
-    return Candidates(azimuths, descriptors, fused)
+    return Candidates(azimuths, descriptors, attention_fusion(field.cells, field.attention))
 
 
 def find_findings(field: Field) -> list[Finding]:
@@ -49,24 +49,13 @@ def find_findings(field: Field) -> list[Finding]:
     findings: list[Finding] = []
     remaining = field.attention
     while field.total > 0 and len(findings) < NUM_CANDIDATES:
-        blocks = block_fusion(field.cells, remaining)
-        fused = _mean(blocks, remaining)
+        fused = attention_fusion(field.cells, remaining)
         peaks = find_peaks(fused, 2)
         if not peaks:
             break
         index = round(peaks[0].azimuth / (2 * np.pi) * fused.size) % fused.size
-        pointing = field.cells[:, :, index].copy()
+        pointing = field.cells[:, index].copy()
         support = np.where(pointing > REMOVAL_LEVEL, remaining, np.float32(0))
-        findings.append(Finding(peaks, index, fused, blocks, pointing, support, remaining))
+        findings.append(Finding(peaks, index, fused, pointing, support, remaining))
         remaining = remaining - support
     return findings
-
-
-def block_fusion(cells: FloatArray, attention: FloatArray) -> FloatArray:
-    """Attention-weighted sum over the bins alone: (K, F, A) and (K, F) to (K, A)."""
-    return np.stack([weights @ block for weights, block in zip(attention, cells, strict=True)])
-
-
-def _mean(blocks: FloatArray, attention: FloatArray) -> FloatArray:
-    fused: FloatArray = blocks.sum(axis=0) / max(float(attention.sum()), 1e-30)
-    return fused

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from service.doa.peaks import Peak, circular_difference
-from service.doa.types import FloatArray
+from service.doa.types import FloatArray, IntArray
 
 NUM_DESCRIPTORS = 21
 SHARP_LEVEL = 0.9
@@ -22,14 +22,20 @@ NEIGHBOURHOOD = np.deg2rad(20.0)
 
 @dataclass(frozen=True)
 class Field:
-    """The cells of one window, out of which candidates are taken."""
+    """The C cells of one window, out of which candidates are taken; A azimuths, K blocks."""
 
     cells: FloatArray
-    """(K, F, A) float32 MUSIC spectra, maximum 1 each; the last of K is the whole window"""
+    """(C, A) float32 MUSIC spectra, maximum 1 each"""
     attention: FloatArray
-    """(K, F) float32, non-negative"""
+    """(C,) float32, non-negative"""
     dominance: FloatArray
-    """(K, F) float32 in (0, 1]"""
+    """(C,) float32 in (0, 1]"""
+    block: IntArray
+    """(C,) block of every cell, the last of K being the whole window"""
+    bin: IntArray
+    """(C,) its bin, or pair of bins"""
+    num_blocks: int
+    """K, the whole window included"""
     num_microphones: int
     resolution: float
     """Of the array, from ``service.doa.steering.resolution``"""
@@ -38,6 +44,16 @@ class Field:
     def total(self) -> float:
         """Of the attention."""
         return float(self.attention.sum())
+
+    @cached_property
+    def of_block(self) -> FloatArray:
+        """(K, C) float32: 1 where a cell is of a block."""
+        of_block = self.block == np.arange(self.num_blocks)[:, None]
+        return of_block.astype(np.float32)
+
+    @property
+    def num_bins(self) -> int:
+        return int(self.bin.max()) + 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +66,12 @@ class Finding:
     """Of the highest peak on the grid"""
     fused: FloatArray
     """(A,) of what remained before it"""
-    blocks: FloatArray
-    """(K, A) likewise, before the sum over blocks"""
     pointing: FloatArray
-    """(K, F) the cells' spectra at the peak"""
+    """(C,) the cells' spectra at the peak"""
     support: FloatArray
-    """(K, F) attention of the cells that belong to it"""
+    """(C,) attention of the cells that belong to it"""
     remaining: FloatArray
-    """(K, F) attention before it"""
+    """(C,) attention before it"""
 
     @property
     def azimuth(self) -> float:
@@ -67,15 +81,17 @@ class Finding:
 def describe(field: Field, findings: Sequence[Finding]) -> FloatArray:
     """(n, D) float32 of all findings of a window, in the order in which they were found."""
     total = np.float32(field.total)
-    support = np.stack([found.support for found in findings]) / total  # (n, K, F)
+    support = np.stack([found.support for found in findings]) / total  # (n, C)
     pointing = np.stack([found.pointing for found in findings])
     remaining = np.array([found.remaining.sum() for found in findings]) / total
-    in_time, in_bins = support.sum(axis=2), support.sum(axis=1)  # (n, K), (n, F)
+    in_time = support @ field.of_block.T  # (n, K)
+    in_bins = np.stack([np.bincount(field.bin, each, field.num_bins) for each in support])
     mass = in_time.sum(axis=1)
     sharp = np.where(pointing > SHARP_LEVEL, support, np.float32(0))
-    dominant = (support * field.dominance).sum(axis=(1, 2)) / np.maximum(mass, 1e-9)
+    dominant = support @ field.dominance / np.maximum(mass, 1e-9)
     first = findings[0].fused[[found.index for found in findings]]
-    loudness = 0.1 * np.log(field.total / field.attention.size + 1e-6)
+    cells = field.num_blocks * field.num_bins  # those included that were never computed
+    loudness = 0.1 * np.log(field.total / cells + 1e-6)
     same = (
         float((field.attention * field.dominance).sum()) / field.total,
         loudness,
@@ -92,9 +108,9 @@ def describe(field: Field, findings: Sequence[Finding]) -> FloatArray:
         _nearest_earlier([found.azimuth for found in findings]),
         *(np.full(len(findings), value) for value in same),
         dominant,
-        sharp.sum(axis=(1, 2)),
+        sharp.sum(axis=1),
         *_likeness(in_time[:, :-1], in_bins),
-        *_disagreement(findings, in_time[:, :-1]),
+        *_disagreement(field, findings, in_time[:, :-1]),
     ]
     return np.stack(columns, axis=1).astype(np.float32)
 
@@ -131,7 +147,9 @@ def _likeness(in_time: FloatArray, in_bins: FloatArray) -> tuple[FloatArray, ...
     )
 
 
-def _disagreement(findings: Sequence[Finding], weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _disagreement(
+    field: Field, findings: Sequence[Finding], weight: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Spread in units of 10 degrees of the blocks' own peaks near the candidates, and its drift.
 
     The drift is the spread's part that goes with time: talkers that take turns. ``weight`` (n, K-1)
@@ -139,9 +157,13 @@ def _disagreement(findings: Sequence[Finding], weight: FloatArray) -> tuple[Floa
     """
     size = findings[0].fused.size
     reach = round(NEIGHBOURHOOD / (2 * np.pi) * size)
-    around = np.arange(-reach, reach + 1)
-    near = np.stack([found.blocks[:-1, (found.index + around) % size] for found in findings])
-    offset = (near.argmax(axis=2) - reach) * (36.0 / size)  # (n, K - 1)
+    blocks = np.stack(
+        [
+            (field.of_block[:-1] * found.remaining) @ _columns(field.cells, found.index, reach)
+            for found in findings
+        ]
+    )  # (n, K - 1, 2 reach + 1)
+    offset = (blocks.argmax(axis=2) - reach) * (36.0 / size)
     mass = weight.sum(axis=1)
     known = mass > 0
     mean = (weight * offset).sum(axis=1) / np.where(known, mass, 1)
@@ -151,6 +173,14 @@ def _disagreement(findings: Sequence[Finding], weight: FloatArray) -> tuple[Floa
     moved = (steps * np.abs(np.diff(offset, axis=1))).sum(axis=1)
     drift = moved / np.maximum(steps.sum(axis=1), 1e-9)
     return np.where(known, spread, 0), np.where(known, drift, 0)
+
+
+def _columns(cells: FloatArray, index: int, reach: int) -> FloatArray:
+    """The columns up to ``reach`` on either side of one, on the circle; a view where it can be."""
+    first, last, size = index - reach, index + reach + 1, cells.shape[1]
+    if first >= 0 and last <= size:
+        return cells[:, first:last]
+    return cells.take(np.arange(first, last) % size, axis=1)
 
 
 def _spread(weights: FloatArray) -> FloatArray:

@@ -64,8 +64,7 @@ class Manifest(_Section):
     array: Literal["any"] | BoundArray
     stft: StftSection
     grid_size: int
-    """Azimuths of the spectra; of a `weights` bundle for arrays up to 0.3 m, larger ones get twice as
-    many"""
+    """Azimuths of the spectra; a `weights` bundle takes twice as many for arrays above 0.3 m"""
     first_bin: int
     """First STFT bin that the networks see"""
     num_bins: int

@@ -15,7 +15,6 @@ from service.doa.orientation import Orientation
 from service.doa.silence import SILENCE
 from service.doa.stft import Stft
 from service.doa.types import FloatArray
-from service.inference.bundle import Bundle
 from service.inference.choice import (
     check_num_sources,
     choose_channels,
@@ -25,7 +24,6 @@ from service.inference.choice import (
 from service.inference.classical import ClassicalLocalizer
 from service.inference.identities import identified
 from service.inference.localizer import Localizer, localizer_of
-from service.inference.overlapping import recording_localizer
 from service.inference.registry import BundleRegistry
 from service.inference.results import (
     AudioWarning,
@@ -65,7 +63,11 @@ def localize_recording(
     check_num_sources(options.num_sources, array)
     method, bundle = choose_method(options.method, options.model, array, registry)
     stft = bundle.stft if bundle else Stft()
-    localizer = _localizer(bundle, method, options, recording.duration)
+    localizer = (
+        localizer_of(bundle, array, options.noise)
+        if bundle
+        else ClassicalLocalizer(method, array, stft, options.noise)
+    )
     diagnostics = ChannelDiagnostics(stft.sample_rate, array.num_microphones, channel_map)
     blocks = _observed(recording.blocks(channel_map, stft.sample_rate), diagnostics)
     cut = windows(blocks, stft.sample_rate, options.window_s, options.hop_s, stft.n_fft - stft.hop)
@@ -93,17 +95,6 @@ def localize_recording(
         summary=summarise(results),
         warnings=_warnings(options, method, array, diagnostics),
     )
-
-
-def _localizer(
-    bundle: Bundle | None, method: Method, options: LocalizeOptions, duration: float
-) -> Localizer:
-    if bundle is None:
-        return ClassicalLocalizer(method, options.array, Stft(), options.noise)
-    if duration <= options.window_s:
-        return localizer_of(bundle, options.array, options.noise)
-    window, hop = (round(s * bundle.stft.sample_rate) for s in (options.window_s, options.hop_s))
-    return recording_localizer(bundle, options.array, options.noise, window, hop)
 
 
 def _estimate(

@@ -28,7 +28,7 @@ from service.inference.localizer import localizer_of
 from service.inference.regression import RegressionLocalizer
 from service.inference.results import Method, WindowEstimate
 from service.inference.weights import BLOCK_FRAMES
-from service.inference.weights_stream import LIVE, WeightsStream
+from service.inference.weights_stream import WINDOW_BLOCKS, WeightsStream
 
 
 class StreamLocalizer(Protocol):
@@ -49,11 +49,11 @@ class StreamLocalizer(Protocol):
 class ClassicalStream:
     """A classical method on covariances that are summed block by block."""
 
-    window_frames = len(LIVE.recency) * BLOCK_FRAMES
+    window_frames = WINDOW_BLOCKS * BLOCK_FRAMES
 
     def __init__(self, localizer: ClassicalLocalizer) -> None:
         self._localizer = localizer
-        self._blocks: deque[tuple[ComplexArray, int]] = deque(maxlen=len(LIVE.recency))
+        self._blocks: deque[tuple[ComplexArray, int]] = deque(maxlen=WINDOW_BLOCKS)
         """Sums over up to eight frames, and how many these are"""
 
     def push(self, spectra: ComplexArray) -> None:

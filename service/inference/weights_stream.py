@@ -38,21 +38,11 @@ LEVEL_FRAMES = 64
 """A second, over which levels are relative to the mean: the network's training window"""
 
 
-@dataclass(frozen=True, slots=True)
-class StreamShape:
-    """What a result of a stream looks back on."""
-
-    recency: tuple[float, ...]
-    """What its blocks count, newest first"""
-    pairs_bins: bool
-    """Whether two bins of a small array share one covariance: the phase differs by less than 10
-    degrees between them. 18 % less to compute, errors 0.1 degrees larger"""
-
-
-LIVE = StreamShape((1.0, 1.0, 1.0, 0.6, 0.3), pairs_bins=True)
-"""0.51 to 0.66 s with the open blocks. Counting all five alike finds two who stand 1 % more often
-and follows one who walks 1.4 degrees worse; four blocks follow better still, but take the onset of
-sensor noise for a talker"""
+RECENCY = (1.0, 1.0, 1.0, 0.6, 0.3)
+"""What the blocks of a result count, newest first; 0.51 to 0.66 s with the open ones. Counting all
+five alike finds two who stand 1 % more often and follows one who walks 1.4 degrees worse; four
+blocks follow better still, but take the onset of sensor noise for a talker"""
+WINDOW_BLOCKS = len(RECENCY)
 
 
 class NetworkStream:
@@ -110,25 +100,23 @@ class _Block:
 class WeightsStream:
     """One stream of one array's spectra, with a `weights` bundle that has a stream graph."""
 
+    window_frames = WINDOW_BLOCKS * BLOCK_FRAMES
+
     def __init__(
-        self,
-        bundle: Bundle,
-        array: MicrophoneArray,
-        noise: NoiseCovariance | None = None,
-        shape: StreamShape = LIVE,
+        self, bundle: Bundle, array: MicrophoneArray, noise: NoiseCovariance | None = None
     ) -> None:
         assert bundle.covariance_stream is not None
-        paired = shape.pairs_bins and noise is None and array.aperture <= SMALL_APERTURE
+        # Over a small array the phase differs by less than 10 degrees between neighbouring bins, so
+        # that two can share one covariance: 18 % less to compute, errors 0.1 degrees larger.
+        paired = noise is None and array.aperture <= SMALL_APERTURE
         analysis = replace(analysis_of(bundle), bins_per_cell=2 if paired else 1)
-        self.window_frames = len(shape.recency) * BLOCK_FRAMES
-        self._recency = np.array(shape.recency, dtype=np.float32)
         self._bins_per_cell = analysis.bins_per_cell
         self._search = CandidateSearch(bundle.covariance, analysis, array, noise)
         self._counter = SourceCounter(bundle.source_count)
         self._network = NetworkStream(
             bundle.covariance_stream, array.num_microphones, analysis.num_bins
         )
-        self._closed: deque[_Block] = deque(maxlen=len(shape.recency))
+        self._closed: deque[_Block] = deque(maxlen=WINDOW_BLOCKS)
         empty = (0, analysis.num_bins)
         self._open = np.zeros((array.num_microphones, *empty), dtype=np.complex64)
         """(N, L, F) of unit norm: frames of blocks that are not final"""
@@ -155,7 +143,7 @@ class WeightsStream:
         """Directions of the last blocks; at least one frame must have been pushed."""
         starts = range(0, len(self._weights), BLOCK_FRAMES)
         opened = [self._block(slice(start, start + BLOCK_FRAMES)) for start in starts]
-        blocks = [*self._closed, *opened][-len(self._recency) :]
+        blocks = [*self._closed, *opened][-WINDOW_BLOCKS:]
         return self._counter.select([self._candidates(blocks)], num_sources, max_sources)[0]
 
     def _block(self, frames: slice) -> _Block:
@@ -168,18 +156,18 @@ class WeightsStream:
         return _Block(diagonal_loading(covariance, CELL_LOADING), attention)
 
     def _candidates(self, blocks: Sequence[_Block]) -> Candidates:
-        recency = self._recency[: len(blocks)][::-1]
+        recency = np.array(RECENCY[: len(blocks)][::-1], dtype=np.float32)
         whole = _Block(
             np.sum([b.covariance * r for b, r in zip(blocks, recency, strict=True)], axis=0),
             np.empty(0, dtype=np.float32),
         )
         rows = [*blocks, whole]
         self._complete([row for row in rows if row.cells is None])
-        return self._search.found(
-            np.stack([row.cells for row in rows if row.cells is not None]),
-            np.stack([block.attention for block in blocks]) * recency[:, None],
-            np.stack([row.dominance for row in rows if row.dominance is not None]),
-        )
+        attention = np.stack([block.attention for block in blocks]) * recency[:, None]
+        every = np.broadcast_to(np.arange(len(blocks))[:, None], attention.shape)
+        cells = np.stack([row.cells for row in rows if row.cells is not None], axis=1)
+        dominance = np.stack([row.dominance for row in rows if row.dominance is not None])
+        return self._search.found(self._search.field(cells, attention, every, dominance))
 
     def _complete(self, blocks: Sequence[_Block]) -> None:
         """Spectra and dominance of blocks, all at once: small operations cost their calls."""
@@ -188,4 +176,4 @@ class WeightsStream:
         )
         cells = self._search.cell_spectra(principal)
         for row, block in enumerate(blocks):
-            block.cells, block.dominance = np.ascontiguousarray(cells[row]), dominance[row]
+            block.cells, block.dominance = np.ascontiguousarray(cells[:, row]), dominance[row]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from service.doa.covariance import weighted_covariance, with_sum
+from service.doa.covariance import chosen_and_sum, weighted_covariance
 from service.doa.features import coherence_features, unit_vectors_and_power
 from service.doa.fusion import attention_fusion, attention_weights, mean_fusion, normalise
 from service.doa.steering import steering_vectors
@@ -63,15 +63,18 @@ def test_weighted_covariance_is_hermitian_with_unit_frames(microphones: int) -> 
 
 
 @pytest.mark.parametrize("microphones", [4, 8])
-def test_the_sum_of_blocks_is_their_window(microphones: int) -> None:
-    spectra = random_spectra(2, microphones, 10, 16)
-    weights = np.random.default_rng(3).uniform(0, 1, (10, 16)).astype(np.float32)
-    cells = with_sum(weighted_covariance(unit(spectra), weights, 8))
+def test_chosen_blocks_and_the_sum_of_all(microphones: int) -> None:
+    spectra = unit(random_spectra(2, microphones, 10, 24))
+    rng = np.random.default_rng(3)
+    weights = rng.uniform(0, 1, (10, 24)).astype(np.float32)
+    chosen = np.stack([rng.permutation(3)[:2] for _ in range(10)], axis=1)
+    blocks = weighted_covariance(spectra, weights, 8)
+    cells = chosen_and_sum(blocks, chosen)
     assert cells.shape == (3, 10, microphones, microphones)
-    np.testing.assert_array_equal(cells[:2], weighted_covariance(unit(spectra), weights, 8))
-    np.testing.assert_allclose(
-        cells[2], weighted_covariance(unit(spectra), weights, 16)[0], rtol=1e-3, atol=1e-5
-    )
+    for row, f in np.ndindex(2, 10):
+        np.testing.assert_array_equal(cells[row, f], blocks[chosen[row, f], f])
+    window = weighted_covariance(spectra, weights, 24)
+    np.testing.assert_allclose(cells[2], window[0], rtol=1e-3, atol=1e-5)
 
 
 def test_a_weight_of_zero_removes_a_frame() -> None:

@@ -30,7 +30,7 @@ def unit_vectors(microphones: int, blocks: int) -> ComplexArray:
 
 def textbook(vectors: ComplexArray, steering: ComplexArray) -> FloatArray:
     """1 / (1 - |u^H a|^2 / N + floor) in double precision, every cell's maximum 1."""
-    response = np.einsum("kfn,fna->kfa", np.conj(vectors).astype(complex), steering.astype(complex))
+    response = np.einsum("kfn,fna->fka", np.conj(vectors).astype(complex), steering.astype(complex))
     spectrum = 1 / (1 - np.abs(response) ** 2 / steering.shape[1] + FLOOR)
     normalised: FloatArray = spectrum / spectrum.max(axis=-1, keepdims=True)
     return normalised
