@@ -19,7 +19,7 @@ help:
 	@echo "make lint     ruff, formatting, openapi.yaml"
 	@echo "make types    mypy, strict on service/"
 	@echo "make format   let ruff format and fix"
-	@echo "make bench    time every stage against pyroomacoustics"
+	@echo "make bench    windows beside pyroomacoustics, streams, files, memory, start (6 minutes)"
 	@echo "make contracts  write openapi.yaml, asyncapi.json and docs/protocol.md's tables"
 	@echo "make audit    known vulnerabilities of what is installed, where PyPI or OSV answers"
 
@@ -66,7 +66,7 @@ format: install
 	$(BIN)/ruff check --fix .
 
 bench: install
-	$(BIN)/neuralmusic bench
+	$(BIN)/python tests/bench/performance.py
 
 contracts: install
 	$(BIN)/python -m service.openapi > openapi.yaml

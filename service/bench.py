@@ -156,18 +156,26 @@ def _peers(array: MicrophoneArray) -> Iterator[tuple[str, Work]]:
 
 def _time_hops(bundle: Bundle, array: MicrophoneArray, windows: Sequence[FloatArray]) -> Timing:
     """Steps of a stream of the windows' audio, each 100 ms."""
+    pipeline = bench_pipeline(bundle, array)
+    output = OutputOptions(interval_ms=round(1000 * HOP_S))
+    pieces = bench_pieces(np.concatenate(windows, axis=1))
+    return _time(lambda piece: pipeline.step([piece], output), pieces)
+
+
+def bench_pipeline(bundle: Bundle, array: MicrophoneArray) -> StreamPipeline:
+    """A stream of 16-bit samples of all the array's channels."""
     microphones = array.num_microphones
     audio = AudioFormat(encoding="pcm_s16le", sample_rate=SAMPLE_RATE, channels=microphones)
     channel_map = tuple(range(microphones))
-    pipeline = StreamPipeline(StreamPlan(audio, array, channel_map, "neural", bundle, bundle.stft))
-    output = OutputOptions(interval_ms=round(1000 * HOP_S))
+    return StreamPipeline(StreamPlan(audio, array, channel_map, "neural", bundle, bundle.stft))
+
+
+def bench_pieces(audio: FloatArray) -> list[Piece]:
+    """Audio (N, T) in pieces of 100 ms of such a stream."""
     hop = round(HOP_S * SAMPLE_RATE)
-    pcm = np.clip(32768 * np.concatenate(windows, axis=1).T, -32768, 32767).astype("<i2")
-    pieces = [
-        Piece(start, pcm[start : start + hop].tobytes(), None, 0.0)
-        for start in range(0, len(pcm) - hop, hop)
-    ]
-    return _time(lambda piece: pipeline.step([piece], output), pieces)
+    pcm = np.clip(32768 * audio.T, -32768, 32767).astype("<i2")
+    starts = range(0, len(pcm) - hop + 1, hop)
+    return [Piece(start, pcm[start : start + hop].tobytes(), None, 0.0) for start in starts]
 
 
 def _time(work: Callable[[InputT], object], inputs: Sequence[InputT]) -> Timing:

@@ -24,6 +24,7 @@ import numpy as np
 import soundfile
 from performance_report import tables, write_tables
 from robots import OPTIONS, RATE, RECORDING, robots, start
+from roofline import roofline
 from served import COMMAND, Served, children, cpu_s, pss_mb
 from websockets.asyncio.client import connect
 
@@ -186,8 +187,10 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=100, help="windows per array")
     parser.add_argument("--hour", type=int, default=3600, help="seconds of the long file")
     asked = parser.parse_args()
+    measured = windows(asked.repeats)
     figures = {
-        "windows": windows(asked.repeats),
+        "windows": measured,
+        "roofline": roofline(measured["stages_ms"]),
         "cold_start": cold_starts(5),
         "fleets": fleets([1, 10, 20, 30, 40, 50, 60, 70, 80], asked.seconds),
         "files": files([60, asked.hour]),

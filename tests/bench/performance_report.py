@@ -124,9 +124,36 @@ def memory_table(figures: Figures) -> str:
     return "\n".join(rows)
 
 
+def roofline_table(figures: Figures) -> str:
+    """Every stage against the CPU."""
+    rows = _head("4 microphones", ["MFLOP", "MB", "least", "measured", "times the least"])
+    stages = figures["roofline"]["stages"]
+    for key, each in stages.items():
+        least, measured = each["least_ms"], each["measured_ms"]
+        rows.append(
+            _row(
+                STAGES[key],
+                [
+                    f"{each['mflop']:.1f}",
+                    f"{each['megabytes']:.2f}",
+                    f"{least:.3f} ms",
+                    f"{measured:.3f} ms",
+                    f"{measured / least:.1f}",
+                ],
+            )
+        )
+    total = sum(each["least_ms"] for each in stages.values())
+    peaks = (
+        f"One thread: {figures['roofline']['gflops']} GFLOP/s (float32), "
+        f"{figures['roofline']['gigabytes_per_s']} GB/s. The least of all together: {total:.2f} ms."
+    )
+    return "\n".join([peaks, "", *rows])
+
+
 TABLES: dict[str, Callable[[Figures], str]] = {
     "windows": windows_table,
     "ratios": ratios_table,
+    "roofline": roofline_table,
     "fleets": fleets_table,
     "files": files_table,
     "memory": memory_table,

@@ -22,6 +22,7 @@ from service.app import create_app
 from service.cli import COMMANDS, main
 from service.doa.presets import PRESETS, preset
 from service.doa.types import FloatArray
+from service.inference.manifest import SCHEMA_VERSION
 from service.inference.registry import EMBEDDED_MODELS
 from service.settings import Settings
 
@@ -237,7 +238,7 @@ def test_arrays_lists_every_preset_and_shows_one(capsys: pytest.CaptureFixture[s
 def manifest(**changes: Any) -> dict[str, Any]:
     graph = {"inputs": [], "outputs": []}
     return {
-        "schema_version": 1,
+        "schema_version": SCHEMA_VERSION,
         "name": "square",
         "version": "2.1.0",
         "variant": "regression",

@@ -113,7 +113,8 @@ def test_turning_the_array_turns_the_directions(registry: BundleRegistry, plane_
     (plain,) = localizer("neural", array, registry).estimate(window, 2, 3)
     turned = localizer("neural", array.rotated(np.deg2rad(30.0)), registry)
     (rotated,) = turned.estimate(window, 2, 3)
-    np.testing.assert_allclose(rotated.spectrum, np.roll(plain.spectrum, 30), atol=1e-3)
+    steps = plain.spectrum.size // 12
+    np.testing.assert_allclose(rotated.spectrum, np.roll(plain.spectrum, steps), atol=1e-3)
 
 
 def test_level_does_not_matter(registry: BundleRegistry, plane_waves) -> None:
