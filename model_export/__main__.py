@@ -75,6 +75,9 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("--name", help="the bundle's name (default: the configuration's)")
     export.add_argument("--version", default="0.1.0")
     export.add_argument("--counting-scenes", type=int, default=16000)
+    export.add_argument(
+        "--source-count", type=Path, metavar="BUNDLE", help="take this bundle's, train none"
+    )
     export.add_argument("--rooms", type=Path, required=True, help="folder of the room bank")
     _add_speech(export, required=True)
     export.set_defaults(run_command=_export)
@@ -246,6 +249,7 @@ def _export(arguments: argparse.Namespace) -> None:
         speech=_speech(arguments, "train"),
         validation_speech=_speech(arguments, "development"),
         counting_scenes=arguments.counting_scenes,
+        source_count=arguments.source_count,
         noises=_noises(arguments),
         data=list(corpora),
         licences=[f"{corpus}: {licence}" for corpus, licence in corpora.items()],

@@ -51,9 +51,7 @@ class DistilTask(WeightsTask):
             for name, tensor in start.model.network.blocks[block].state_dict().items():
                 place = block - ahead + self.model.network.lookahead
                 fitting[f"network.blocks.{place}.{name}"] = tensor
-        shapes = {name: tensor.shape for name, tensor in own.items()}
-        kept = {n: t for n, t in fitting.items() if shapes.get(n) == t.shape}
-        self.model.load_state_dict(own | kept)
+        self.model.load_state_dict(own | fitting)
         self._teacher = start.model.network.eval().requires_grad_(False)
 
     def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch:

@@ -12,11 +12,13 @@ from model_export.counting import CandidateCountNetwork, collect, train_counting
 from model_export.export import digest
 from model_export.export_regression import export_regression
 from model_export.export_weights import candidate_search, export_weights
+from model_export.parameters import source_count_of
 from model_export.regression import RegressionTask
 from model_export.scenes import RoomBank
 from model_export.tasks import WeightsTask
 from model_export.train import load_run
 from service.doa.types import FloatArray
+from service.inference.bundle import read_manifest
 from service.inference.manifest import Manifest
 
 DESCRIPTIONS = {
@@ -35,11 +37,16 @@ def export_run(
     speech: Sequence[FloatArray],
     validation_speech: Sequence[FloatArray],
     counting_scenes: int,
+    source_count: Path | None = None,
     noises: Sequence[FloatArray] = (),
     data: Sequence[str],
     licences: Sequence[str],
 ) -> Manifest:
-    """Export the run's checkpoint as a bundle; a `weights` run gets its source count first."""
+    """Export the run's checkpoint as a bundle; a `weights` run gets its source count first.
+
+    ``source_count`` is the folder of a bundle whose source count is taken instead: that of the
+    teacher, for a run that was taught to give the same candidates.
+    """
     config, task, step = load_run(run)
     if config.variant == "sscl":
         raise ValueError(f"{run} only pretrains an encoder: train 'paper' from it and export that")
@@ -62,11 +69,15 @@ def export_run(
         shutil.rmtree(out, ignore_errors=True)
         return export_regression(task, out, fields)
     assert isinstance(task, WeightsTask)
-    network, scores = _count_sources(
-        task, rooms, speech, validation_speech, noises, counting_scenes, config.seed
-    )
-    training["counting_scenes"] = counting_scenes
-    training["counting_validation"] = {name: round(value, 4) for name, value in scores.items()}
+    if source_count is not None:
+        network = source_count_of(source_count)
+        training["counting_from"] = read_manifest(source_count)[0].training["parameters"]
+    else:
+        network, scores = _count_sources(
+            task, rooms, speech, validation_speech, noises, counting_scenes, config.seed
+        )
+        training["counting_scenes"] = counting_scenes
+        training["counting_validation"] = {key: round(value, 4) for key, value in scores.items()}
     shutil.rmtree(out, ignore_errors=True)
     return export_weights(task.model, network, out, fields)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 from torch import nn
@@ -70,6 +71,23 @@ def trained_model(bundle: Bundle) -> TrainedModel:
             f"version of model_export: {error}"
         ) from error
     return TrainedModel(config, task, source_count)
+
+
+def source_count_of(folder: Path) -> CandidateCountNetwork:
+    """The source-count network of a `weights` bundle, whatever its other networks are.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds no such network.
+    """
+    path = folder / PARAMETERS
+    network = CandidateCountNetwork()
+    try:
+        _load(network, "source_count", read_arrays(path.read_bytes(), path))
+    except (OSError, RuntimeError) as error:  # RuntimeError: load_state_dict's
+        raise ValueError(f"{folder} holds no source count of a weights bundle: {error}") from error
+    return network
 
 
 def _load(module: nn.Module, network: str, arrays: Mapping[str, FloatArray]) -> None:

@@ -15,9 +15,11 @@ from torch import Tensor, nn
 from model_export.config import Trunk
 from model_export.subspace import dominance, signal_power, signal_projector
 from service.doa.features import NUM_FEATURES
-from service.inference.weights import BLOCK_FRAMES, CELL_LOADING, KEPT_BLOCKS
+from service.inference.weights import BLOCK_FRAMES, CELL_LOADING, kept_blocks
 
 BINS_PER_ROW = 4
+CHANNELS = 32
+"""Of the causal blocks and the heads"""
 WINDOW_SHARE = 0.5
 """Attention of a bin's whole window against the sum of its blocks'. The cross entropy would learn
 a tenth: blocks tell talkers apart; but in strong noise the longer average errs less."""
@@ -96,7 +98,6 @@ class Ahead(nn.Sequential):
             nn.BatchNorm2d(outputs),
             nn.ReLU(),
         )
-        self.outputs = outputs
 
     def forward(self, hidden: Tensor) -> Tensor:
         return self.step(F.pad(hidden, (0, 0, 1, 1)))
@@ -114,12 +115,10 @@ def _trunk(trunk: Trunk) -> list[Ahead]:
             Ahead(NUM_FEATURES + 1, 24, 5, 2),
             Ahead(24, 32, 5, 2),
             Ahead(32, 40),
-            Ahead(40, 32),
+            Ahead(40, CHANNELS),
         ]
     stacked = BINS_PER_ROW * (NUM_FEATURES + 1)
-    if trunk == "slim":
-        return [Ahead(stacked, 32), Ahead(32, 16), Ahead(16, 16)]
-    return [Ahead(stacked, 32), Ahead(32, 32), Ahead(32, 32)]
+    return [Ahead(stacked, CHANNELS), Ahead(CHANNELS, CHANNELS), Ahead(CHANNELS, CHANNELS)]
 
 
 class WeightsNetwork(nn.Module):
@@ -142,16 +141,15 @@ class WeightsNetwork(nn.Module):
         self.trunk = trunk
         convolutions = _trunk(trunk)
         self.lookahead = len(convolutions)
-        channels = convolutions[-1].outputs
         self.blocks = nn.Sequential(
             *convolutions,
-            PastContext(channels, 2),
-            BandContext(channels),
-            PastContext(channels, 4),
-            PastContext(channels, 8),
+            PastContext(CHANNELS, 2),
+            BandContext(CHANNELS),
+            PastContext(CHANNELS, 4),
+            PastContext(CHANNELS, 8),
         )
-        self.head = nn.Conv2d(channels, 2 * BINS_PER_ROW, 1)
-        self.share_head = nn.Conv2d(channels, BINS_PER_ROW, 1)
+        self.head = nn.Conv2d(CHANNELS, 2 * BINS_PER_ROW, 1)
+        self.share_head = nn.Conv2d(CHANNELS, BINS_PER_ROW, 1)
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
         return self.cells(self.hidden(features))
@@ -167,7 +165,7 @@ class WeightsNetwork(nn.Module):
         # Where a bin lies decides how much an array can hear there; the convolutions cannot tell.
         height = torch.linspace(-1, 1, bins, device=features.device, dtype=features.dtype)
         height = height.reshape(1, 1, 1, bins)
-        if self.trunk != "strided":
+        if self.trunk == "stacked":
             features, height = _stacked(features), _stacked(height)
         return torch.cat([features, height.expand(batch, -1, frames, -1)], 1)
 
@@ -278,8 +276,7 @@ class WeightsPipeline(nn.Module):
 
 def _strongest(attended: Tensor) -> Tensor:
     """Attentions (..., K) with only the strongest left, which the service computes spectra of."""
-    count = min(KEPT_BLOCKS, attended.shape[-1])
-    least = attended.topk(count, -1).values[..., -1:]
+    least = attended.topk(kept_blocks(attended.shape[-1]), -1).values[..., -1:]
     return attended * (attended >= least)
 
 

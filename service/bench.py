@@ -175,7 +175,7 @@ def bench_pieces(audio: FloatArray) -> list[Piece]:
     hop = round(HOP_S * SAMPLE_RATE)
     pcm = np.clip(32768 * audio.T, -32768, 32767).astype("<i2")
     starts = range(0, len(pcm) - hop + 1, hop)
-    return [Piece(start, pcm[start : start + hop].tobytes(), None, 0.0) for start in starts]
+    return [Piece(start, pcm[start : start + hop].tobytes(), 0.0, None) for start in starts]
 
 
 def _time(work: Callable[[InputT], object], inputs: Sequence[InputT]) -> Timing:

@@ -12,22 +12,24 @@ M_TRIM_THRESHOLD = -1
 M_MMAP_THRESHOLD = -3
 LARGEST_KEPT = 32 * 2**20
 """Bytes; glibc allows no more. Larger arrays go to the system and come back as zeroed pages"""
-MOST_KEPT = 64 * 2**20
-"""Bytes that stay with a process at the heap's end"""
+WINDOWS_KEPT = 64 * 2**20
+"""Bytes that stay at the heap's end of a process that computes windows: what a few of them take"""
+STREAMS_KEPT = 4 * 2**20
+"""Of one that computes streams, whose steps take less"""
 
 _library = ctypes.CDLL(None)
 _mallopt: Callable[[int, int], object] = getattr(_library, "mallopt", lambda _what, _value: None)
 _trim: Callable[[int], object] = getattr(_library, "malloc_trim", lambda _keep: None)
 
 
-def keep_freed_memory() -> None:
+def keep_freed_memory(most: int = WINDOWS_KEPT) -> None:
     """Let the process use freed arrays again instead of asking the system for zeroed pages.
 
     A window's arrays are above the size from which glibc maps each one anew: page faults took a
     fifth of its time.
     """
     _mallopt(M_MMAP_THRESHOLD, LARGEST_KEPT)
-    _mallopt(M_TRIM_THRESHOLD, MOST_KEPT)
+    _mallopt(M_TRIM_THRESHOLD, most)
 
 
 def give_back_memory() -> None:

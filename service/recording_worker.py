@@ -10,6 +10,8 @@ import logging
 import os
 import time
 from collections.abc import Callable
+from functools import partial
+from typing import BinaryIO
 
 from service.api.recording_job import (
     Localized,
@@ -21,7 +23,7 @@ from service.api.recording_job import (
 )
 from service.errors import UNEXPECTED, DoaError
 from service.inference.registry import BundleRegistry
-from service.memory import give_back_memory
+from service.memory import give_back_memory, keep_freed_memory
 from service.settings import Settings
 from service.startup import warm_up
 from service.worker_link import READY, Link, run_worker
@@ -33,7 +35,7 @@ class Unwanted(Exception):
     """Nobody waits for the answer any more."""
 
 
-def work_until_end(link: Link, registry: BundleRegistry) -> None:
+def work_until_end(link: Link, registry: BundleRegistry, threads: int = 1) -> None:
     """Take jobs with their files; every report is answered with whether to go on."""
 
     def report(message: Report) -> None:
@@ -43,22 +45,27 @@ def work_until_end(link: Link, registry: BundleRegistry) -> None:
 
     while True:
         job, descriptor = link.receive_with_file()
-        link.send(_outcome(job, descriptor, registry, report))
+        link.send(
+            _outcome(
+                job,
+                descriptor,
+                partial(localize_file, registry=registry, report=report, threads=threads),
+            )
+        )
         give_back_memory()
 
 
 def _outcome(
     job: RecordingJob,
     descriptor: int | None,
-    registry: BundleRegistry,
-    report: Callable[[Report], None],
+    localize: Callable[[RecordingJob, BinaryIO], tuple[bytes, int]],
 ) -> Outcome | None:
     assert descriptor is not None
     began = time.monotonic()
     try:
         with os.fdopen(descriptor, "rb") as file:
             file.seek(0)
-            body, windows = localize_file(job, file, registry, report)
+            body, windows = localize(job, file)
         return Localized(body, windows, time.monotonic() - began)
     except Unwanted:
         return None
@@ -71,9 +78,10 @@ def _outcome(
 
 def serve(link: Link, settings: Settings, registry: BundleRegistry) -> None:
     """Localize recordings until the service ends."""
+    keep_freed_memory()
     warm_up(registry)
     link.send(READY)
-    work_until_end(link, registry)
+    work_until_end(link, registry, settings.threads)
 
 
 if __name__ == "__main__":

@@ -52,8 +52,8 @@ class Settings(BaseSettings):
     """Model of requests that name none, where it fits their array; otherwise the first that fits"""
     workers: int = Field(default_factory=usable_cpus, ge=1, le=256)
     """Recordings that are localized at the same time; by default the usable CPUs"""
-    threads: int = Field(1, ge=1, le=64)
-    """onnxruntime threads of each worker"""
+    threads: int = Field(default_factory=usable_cpus, ge=1, le=64)
+    """Windows of one recording that are computed at the same time; by default the usable CPUs"""
     queue: int = Field(16, ge=0, le=10_000)
     """Requests that may wait for a worker; further ones get 503"""
     stall_timeout: float = Field(60.0, ge=1, le=3600)

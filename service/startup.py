@@ -24,9 +24,7 @@ def load_registry(settings: Settings) -> BundleRegistry:
         If the default model is not among them.
     """
     try:
-        return BundleRegistry.load(
-            settings.models, threads=settings.threads, default=settings.default_model
-        )
+        return BundleRegistry.load(settings.models, default=settings.default_model)
     except UnknownModel as error:
         raise ConfigError(f"default_model: {error.detail}") from None
 

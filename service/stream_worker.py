@@ -10,7 +10,7 @@ import time
 from queue import SimpleQueue
 
 from service.inference.registry import BundleRegistry
-from service.memory import give_back_memory
+from service.memory import STREAMS_KEPT, give_back_memory, keep_freed_memory
 from service.settings import Settings
 from service.startup import warm_up
 from service.streaming.host import StreamHost
@@ -62,6 +62,7 @@ def _check_forever(link: Link, host: StreamHost, checks: SimpleQueue[tuple[int, 
 
 def serve(link: Link, settings: Settings, registry: BundleRegistry) -> None:
     """Compute streams until the service ends."""
+    keep_freed_memory(STREAMS_KEPT)
     warm_up(registry)
     link.send((0, READY, 0.0))
     work_until_end(link, StreamHost(registry))

@@ -22,7 +22,6 @@ from typing import Any
 from service.inference.bundle import BundleFiles
 from service.inference.registry import BundleRegistry
 from service.logs import configure_logging
-from service.memory import keep_freed_memory
 from service.settings import Settings
 
 HEADER = struct.Struct("<I")
@@ -87,13 +86,12 @@ def run_worker(serve: Callable[[Link, Settings, BundleRegistry], None]) -> None:
     """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    keep_freed_memory()
     with socket.socket(fileno=int(sys.argv[1])) as connection, suppress(EOFError, OSError):
         link = Link(connection)
         setup: Setup = link.receive()
         settings = setup.settings
         configure_logging(settings, f"{Path(sys.argv[0]).stem}-{os.getpid()}")
-        serve(link, settings, BundleRegistry.of_files(setup.bundles, threads=settings.threads))
+        serve(link, settings, BundleRegistry.of_files(setup.bundles))
 
 
 def worker_environment() -> dict[str, str]:

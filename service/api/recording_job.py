@@ -72,6 +72,7 @@ def localize_file(
     file: BinaryIO,
     registry: BundleRegistry,
     report: Callable[[Report], None],
+    threads: int = 1,
 ) -> tuple[bytes, int]:
     """The answer's JSON, and its number of windows.
 
@@ -85,7 +86,11 @@ def localize_file(
         _check_windows(recording.duration, asked)
         report(Opened(recording.duration))
         result = localize_recording(
-            recording, asked.options, registry, lambda share: report(Progress(share))
+            recording,
+            asked.options,
+            registry,
+            lambda share: report(Progress(share)),
+            threads=threads,
         )
     body = LocalizationAnswer.of(result, spectrum=asked.spectrum).to_json()
     return body, len(result.windows)

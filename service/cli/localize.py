@@ -57,14 +57,18 @@ def run(args: argparse.Namespace) -> int:
 
 def _localize(args: argparse.Namespace, options: LocalizeOptions) -> RecordingResult:
     from service.inference.recording import localize_recording
+    from service.memory import keep_freed_memory
     from service.settings import load_settings
     from service.startup import load_registry
 
     settings = load_settings(models=args.models)
+    keep_freed_memory()
     with open_recording(args.file) as recording:
         registry = load_registry(settings)
         with _progress(recording.duration) as progress:
-            return localize_recording(recording, options, registry, progress)
+            return localize_recording(
+                recording, options, registry, progress, threads=settings.threads
+            )
 
 
 @contextmanager

@@ -54,7 +54,7 @@ class RankOneMusic:
     def spectra(self, vectors: ComplexArray) -> FloatArray:
         """Spectra (F, K, A) float32, each with maximum 1, of unit vectors (K, F, N)."""
         if self._products is not None:
-            distance = self._coefficients(vectors) @ self._products
+            distance: FloatArray = self._coefficients(vectors) @ self._products
         else:
             assert self._steering is not None
             by_bin = np.ascontiguousarray(vectors.transpose(1, 2, 0))

@@ -73,8 +73,8 @@ def principal_eigenvector(covariance: ComplexArray) -> tuple[ComplexArray, Float
     """
     if covariance.shape[-1] <= MOST_PLANES:
         planes = np.ascontiguousarray(np.moveaxis(covariance, (-2, -1), (0, 1)))
-        vectors, share = _principal_of_planes(planes)
-        return np.moveaxis(vectors, 0, -1), share
+        vectors, shares = _principal_of_planes(planes)
+        return np.moveaxis(vectors, 0, -1), shares
     trace = _trace(covariance)
     power = covariance
     for count in range(SQUARINGS):

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from service.doa.peaks import Peak, circular_difference
-from service.doa.types import FloatArray, IntArray
+from service.doa.types import BoolArray, FloatArray, IntArray
 
 NUM_DESCRIPTORS = 21
 SHARP_LEVEL = 0.9
@@ -48,8 +48,8 @@ class Field:
     @cached_property
     def of_block(self) -> FloatArray:
         """(K, C) float32: 1 where a cell is of a block."""
-        of_block = self.block == np.arange(self.num_blocks)[:, None]
-        return of_block.astype(np.float32)
+        same: BoolArray = self.block == np.arange(self.num_blocks)[:, None]
+        return same.astype(np.float32)
 
     @property
     def num_bins(self) -> int:
@@ -85,7 +85,9 @@ def describe(field: Field, findings: Sequence[Finding]) -> FloatArray:
     pointing = np.stack([found.pointing for found in findings])
     remaining = np.array([found.remaining.sum() for found in findings]) / total
     in_time = support @ field.of_block.T  # (n, K)
-    in_bins = np.stack([np.bincount(field.bin, each, field.num_bins) for each in support])
+    in_bins: FloatArray = np.stack(
+        [np.bincount(field.bin, each, field.num_bins).astype(np.float32) for each in support]
+    )
     mass = in_time.sum(axis=1)
     sharp = np.where(pointing > SHARP_LEVEL, support, np.float32(0))
     dominant = support @ field.dominance / np.maximum(mass, 1e-9)
@@ -180,7 +182,8 @@ def _columns(cells: FloatArray, index: int, reach: int) -> FloatArray:
     first, last, size = index - reach, index + reach + 1, cells.shape[1]
     if first >= 0 and last <= size:
         return cells[:, first:last]
-    return cells.take(np.arange(first, last) % size, axis=1)
+    columns: FloatArray = cells.take(np.arange(first, last) % size, axis=1)
+    return columns
 
 
 def _spread(weights: FloatArray) -> FloatArray:

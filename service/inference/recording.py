@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -22,6 +23,7 @@ from service.inference.choice import (
     method_warnings,
 )
 from service.inference.classical import ClassicalLocalizer
+from service.inference.concurrent import in_order
 from service.inference.identities import identified
 from service.inference.localizer import Localizer, localizer_of
 from service.inference.registry import BundleRegistry
@@ -45,6 +47,8 @@ def localize_recording(
     options: LocalizeOptions,
     registry: BundleRegistry,
     progress: Callable[[float], None] | None = None,
+    *,
+    threads: int = 1,
 ) -> RecordingResult:
     """Localize a recording window by window, in memory bounded by the window.
 
@@ -52,6 +56,8 @@ def localize_recording(
     ----------
     progress : callable, optional
         Told the share of the recording that is done, in [0, 1].
+    threads : int
+        That compute windows; the result does not depend on it.
 
     Raises
     ------
@@ -72,8 +78,8 @@ def localize_recording(
     blocks = _observed(recording.blocks(channel_map, stft.sample_rate), diagnostics)
     cut = windows(blocks, stft.sample_rate, options.window_s, options.hop_s, stft.n_fft - stft.hop)
     results: list[WindowResult] = []
-    while batch := tuple(islice(cut, BATCH_WINDOWS)):
-        estimates = _estimate(localizer, batch, options)
+    estimate_batch = partial(_estimate, localizer, options)
+    for batch, estimates in in_order(estimate_batch, _batches(cut), threads):
         for window, estimate in zip(batch, estimates, strict=True):
             t_end = min(window.start + options.window_s, recording.duration)
             turned = _on_robot(estimate, options.orientation)
@@ -97,17 +103,25 @@ def localize_recording(
     )
 
 
+def _batches(cut: Iterator[Window]) -> Iterator[tuple[Window, ...]]:
+    while batch := tuple(islice(cut, BATCH_WINDOWS)):
+        yield batch
+
+
 def _estimate(
-    localizer: Localizer, batch: tuple[Window, ...], options: LocalizeOptions
-) -> Iterable[WindowEstimate]:
+    localizer: Localizer, options: LocalizeOptions, batch: tuple[Window, ...]
+) -> list[WindowEstimate]:
     """Estimates of a batch; silent windows never reach the localizer's decision."""
     audio = np.stack([window.audio for window in batch])
     most = min(options.max_sources, options.array.num_microphones - 1)
     estimates = localizer.estimate(audio, options.num_sources, most)
-    for window, estimate in zip(batch, estimates, strict=True):
-        heard = window.audio[:, : max(window.heard, 1)]
-        silent = float(np.mean(heard * heard)) < SILENCE
-        yield WindowEstimate((), np.zeros_like(estimate.spectrum)) if silent else estimate
+    return [_unless_silent(*each) for each in zip(batch, estimates, strict=True)]
+
+
+def _unless_silent(window: Window, estimate: WindowEstimate) -> WindowEstimate:
+    heard = window.audio[:, : max(window.heard, 1)]
+    silent = float(np.mean(heard * heard)) < SILENCE
+    return WindowEstimate((), np.zeros_like(estimate.spectrum)) if silent else estimate
 
 
 def _on_robot(estimate: WindowEstimate, orientation: Orientation) -> WindowEstimate:

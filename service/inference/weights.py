@@ -27,9 +27,8 @@ BLOCK_FRAMES = 8
 SMALL_APERTURE = 0.3
 """Metres; over arrays up to it the bundle's grid of azimuths finds peaks as well as one twice as
 fine (docs/performance.md), which larger arrays get"""
-KEPT_BLOCKS = 4
-"""Of a bin's eight, those that the network attends to most: the others count next to nothing, so
-that no error of docs/results.md changes by 0.01 degrees, and cost nothing"""
+FEWEST_BLOCKS = 4
+"""That a bin keeps at least"""
 LEAST_CONFIDENCE = 0.5
 """Where the number of sources is estimated: a second or third that is more likely wrong than right
 is left out"""
@@ -168,7 +167,8 @@ class CandidateSearch:
         """What every cell counts in the fusion, (R + 1, F) float32; parameters as in ``field``."""
         whole = attention.sum(axis=0, keepdims=True) * np.float32(self._analysis.window_share)
         cells = np.concatenate([np.take_along_axis(attention, chosen, axis=0), whole])
-        return (cells * dominance**self._analysis.dominance_power).astype(np.float32, copy=False)
+        attended: FloatArray = cells * dominance**self._analysis.dominance_power
+        return attended.astype(np.float32, copy=False)
 
 
 def cell_covariances(unit: ComplexArray, weights: FloatArray, chosen: IntArray) -> ComplexArray:
@@ -181,9 +181,18 @@ def cell_covariances(unit: ComplexArray, weights: FloatArray, chosen: IntArray) 
     return chosen_and_sum(blocks, chosen)
 
 
+def kept_blocks(blocks: int) -> int:
+    """How many of a bin's blocks go on to eigenvectors and spectra: the half that matters.
+
+    The others count next to nothing: with four of a window's eight no error of docs/performance.md
+    changes by 0.01 degrees.
+    """
+    return max(min(FEWEST_BLOCKS, blocks), blocks // 2)
+
+
 def strongest_blocks(attention: FloatArray) -> IntArray:
     """Indices (R, F), ascending, of every bin's most attended blocks of (K, F)."""
-    count = min(KEPT_BLOCKS, len(attention))
+    count = kept_blocks(len(attention))
     order = np.argsort(attention, axis=0)[len(attention) - count :]
     return np.sort(order, axis=0)
 

@@ -68,8 +68,9 @@ class NetworkStream:
         Both are (P + L, F): the P frames before the new ones were provisional and are final now;
         the newest P are provisional, since the network looks as far ahead.
         """
-        self._means.extend(power.mean(axis=0).tolist())
-        mean = np.array(sum(self._means) / len(self._means), dtype=np.float32)
+        # Digital silence says nothing of the level of what follows: a microphone was not on yet.
+        self._means.extend(mean for mean in power.mean(axis=0).tolist() if mean > 0)
+        mean = np.array(sum(self._means) / max(len(self._means), 1), dtype=np.float32)
         unit = np.concatenate([self._unit, unit], axis=2)
         power = np.concatenate([self._frame_power, power], axis=1)
         self._unit, self._frame_power = (

@@ -107,7 +107,7 @@ def test_the_parameters_give_the_graphs_outputs(
     model = trained_model(bundle)
     assert digest(model.task.model.state_dict()) == bundle.manifest.training["parameters"]
     spectra = bundle.stft.transform(plane_waves(square, [70.0])[None])[:, :, 1:]
-    features = coherence_features(*unit_vectors_and_power(spectra))
+    features = np.swapaxes(coherence_features(*unit_vectors_and_power(spectra)), 2, 3).copy()
     with torch.no_grad():
         outputs = model.task.model.network(torch.from_numpy(features))
         assert model.source_count is not None

@@ -14,7 +14,7 @@ from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, localizer_of
 from service.inference.registry import BundleRegistry
 from service.inference.results import METHODS
-from service.inference.weights import LEAST_CONFIDENCE, select_sources
+from service.inference.weights import LEAST_CONFIDENCE, select_sources, strongest_blocks
 
 
 @pytest.fixture(scope="module")
@@ -150,3 +150,24 @@ def test_the_surest_counted_source_needs_less_than_further_ones(
     assert [source.confidence for source in selected.sources] == kept
     told = select_sources(found, np.array(confidence), 2)
     assert len(told.sources) == 2  # whoever names the number gets it
+
+
+@pytest.mark.parametrize("blocks", [1, 3, 4, 8, 9, 78])
+def test_the_blocks_that_a_bin_keeps_are_its_most_attended_half(blocks: int) -> None:
+    rng = np.random.default_rng(blocks)
+    attention = rng.uniform(0, 1, (blocks, 7)).astype(np.float32)
+    kept = strongest_blocks(attention)
+    assert len(kept) == max(min(4, blocks), blocks // 2)
+    for f in range(7):
+        assert list(kept[:, f]) == sorted(np.argsort(attention[:, f])[blocks - len(kept) :])
+
+
+def test_a_long_window_hears_who_speaks_in_turn(registry: BundleRegistry, plane_waves) -> None:
+    """Of eight seconds one source has the first, another the last: neither is left out."""
+    array = ARRAYS["square"]
+    first = plane_waves(array, [50.0], seconds=4.0, seed=1)
+    second = plane_waves(array, [200.0], seconds=4.0, seed=2)
+    window = np.concatenate([first, second], axis=1)[None]
+    (estimate,) = localizer("neural", array, registry).estimate(window, 2, 3)
+    found = sorted(np.rad2deg(source.azimuth) for source in estimate.sources)
+    assert found == pytest.approx([50.0, 200.0], abs=4.0)
