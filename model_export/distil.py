@@ -13,9 +13,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from model_export.scenes import WINDOW_SAMPLES, Scene
+from model_export.scenes import Scene
 from model_export.tasks import (
-    SHORT_SAMPLES,
     STFT,
     Batch,
     Task,
@@ -55,9 +54,7 @@ class DistilTask(WeightsTask):
         self._teacher = start.model.network.eval().requires_grad_(False)
 
     def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch:
-        if rng.random() < self.config.short_windows:
-            start = int(rng.integers(WINDOW_SAMPLES - SHORT_SAMPLES))
-            scenes = [scene.crop(start, SHORT_SAMPLES) for scene in scenes]
+        scenes = self.cut(rng, scenes)
         spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))[:, :, 1:]
         shares = np.stack([direct_share(scene) for scene in scenes])
         return {

@@ -76,9 +76,7 @@ class WeightsTask:
         self.model.load_state_dict(start.model.state_dict())
 
     def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch:
-        if rng.random() < self.config.short_windows:
-            start = int(rng.integers(WINDOW_SAMPLES - SHORT_SAMPLES))
-            scenes = [scene.crop(start, SHORT_SAMPLES) for scene in scenes]
+        scenes = self.cut(rng, scenes)
         spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))[:, :, 1:]
         bins = np.arange(rng.integers(BIN_STEP), spectra.shape[2], BIN_STEP)
         offset = rng.uniform(0, 2 * np.pi / self.config.grid_size)
@@ -96,6 +94,13 @@ class WeightsTask:
             "direct_share": torch.from_numpy(shares),
             **padded_azimuths(scenes),
         }
+
+    def cut(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Sequence[Scene]:
+        """The scenes, now and then half a second of them."""
+        if rng.random() >= self.config.short_windows:
+            return scenes
+        start = int(rng.integers(WINDOW_SAMPLES - SHORT_SAMPLES))
+        return [scene.crop(start, SHORT_SAMPLES) for scene in scenes]
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
         result = self._run(batch)
