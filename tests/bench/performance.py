@@ -192,7 +192,7 @@ def main() -> None:
         "windows": measured,
         "roofline": roofline(measured["stages_ms"]),
         "cold_start": cold_starts(5),
-        "fleets": fleets([1, 10, 20, 30, 40, 50, 60, 70, 80], asked.seconds),
+        "fleets": fleets([1, 10, 20, 40, 50, 60, 70, 80], asked.seconds),
         "files": files([60, asked.hour]),
         "memory": memory(20, 20.0),
     }
