@@ -29,6 +29,8 @@ LEAST_IMPORTANCE = 0.2
 """Of a cell that the teacher ignores, against 1 of a mean one: it might be attended to elsewhere"""
 SCALE_WEIGHT = 0.1
 """Of the sum of the attentions, which only the source count looks at"""
+SHARE_WEIGHT = 0.2
+"""Of the share of direct sound, which keeps the hidden layers at what the simulation knows"""
 
 
 class DistilTask(WeightsTask):
@@ -72,12 +74,12 @@ class DistilTask(WeightsTask):
             share = network.direct_share(hidden)
         with torch.no_grad():
             taught_weights, taught_attention = self._teacher(features)
-        importance = LEAST_IMPORTANCE + taught_attention / _per_window(taught_attention, "mean")
+        total, taught_total = (_total(each.float()) for each in (attention, taught_attention))
+        taught_share = taught_attention / taught_total
+        importance = LEAST_IMPORTANCE + taught_share * taught_share[0].numel()
         weight_loss = F.binary_cross_entropy(
             weights.float().clamp(1e-6, 1 - 1e-6), taught_weights, importance
         ) - F.binary_cross_entropy(taught_weights.clamp(1e-6, 1 - 1e-6), taught_weights, importance)
-        total, taught_total = (_per_window(a.float(), "sum") for a in (attention, taught_attention))
-        taught_share = taught_attention / taught_total
         divergence = (
             taught_share * ((taught_share + 1e-12) / (attention.float() / total + 1e-12)).log()
         )
@@ -88,14 +90,13 @@ class DistilTask(WeightsTask):
             "share": known_cross_entropy(share.float(), batch["direct_share"].transpose(1, 2)),
         }
         loss = losses["weights"] + losses["attention"] + SCALE_WEIGHT * losses["scale"]
-        return {"loss": loss + 0.2 * losses["share"], **losses}
+        return {"loss": loss + SHARE_WEIGHT * losses["share"], **losses}
 
     def scores(self, batch: Batch) -> dict[str, float]:
         losses = self.losses(batch)
         return {f"held_{name}": float(losses[name]) for name in ("weights", "attention")}
 
 
-def _per_window(cells: Tensor, reduction: str) -> Tensor:
-    """Sum or mean (B, 1, 1) over the cells of every window, at least the smallest float32."""
-    reduced = cells.sum((1, 2), True) if reduction == "sum" else cells.mean((1, 2), True)
-    return reduced.clamp(min=torch.finfo(torch.float32).tiny)
+def _total(cells: Tensor) -> Tensor:
+    """Sum (B, 1, 1) over the cells of every window, at least the smallest float32."""
+    return cells.sum((1, 2), True).clamp(min=torch.finfo(torch.float32).tiny)

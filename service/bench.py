@@ -182,10 +182,10 @@ def _time(work: Callable[[InputT], object], inputs: Sequence[InputT]) -> Timing:
     """The work on every input, after a warm-up."""
     for each in inputs[:WARM_UP]:
         work(each)
-    return Timing(np.array([_spent(partial(work, each)) for each in inputs]))
+    return Timing(np.array([cpu_ms(partial(work, each)) for each in inputs]))
 
 
-def _spent(work: Callable[[], object]) -> float:
+def cpu_ms(work: Callable[[], object]) -> float:
     """Milliseconds of CPU time of all threads."""
     start = time.process_time_ns()
     work()

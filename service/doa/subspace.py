@@ -71,60 +71,49 @@ def principal_eigenvector(covariance: ComplexArray) -> tuple[ComplexArray, Float
     share : (...) float32
         Between 1 / N and 1; 0 of a zero matrix.
     """
+    planes = np.moveaxis(covariance, (-2, -1), (0, 1))
+    product = _matrix_product
     if covariance.shape[-1] <= MOST_PLANES:
-        planes = np.ascontiguousarray(np.moveaxis(covariance, (-2, -1), (0, 1)))
-        vectors, shares = _principal_of_planes(planes)
-        return np.moveaxis(vectors, 0, -1), shares
-    trace = _trace(covariance)
-    power = covariance
-    for count in range(SQUARINGS):
-        if count in RESCALED:  # multiplied: a complex array by a real one divides slowly
-            power = power * (1 / _trace(power))[..., None, None]
-        power = power @ power
-    largest = np.argmax(np.einsum("...ii->...i", power).real, axis=-1)
-    column = np.take_along_axis(power, largest[..., None, None], axis=-1)  # (..., N, 1)
-    vector = column * (1 / _norm(column, -2))
-    image = covariance @ vector
-    value = np.sum(vector.real * image.real + vector.imag * image.imag, axis=(-2, -1))
-    share: FloatArray = value / trace
-    return vector[..., 0], share
-
-
-def _principal_of_planes(planes: ComplexArray) -> tuple[ComplexArray, FloatArray]:
-    """The same of matrices (N, N, ...) to vectors (N, ...): every operation runs over all."""
-    trace = _trace(np.moveaxis(planes, (0, 1), (-2, -1)))
+        planes, product = np.ascontiguousarray(planes), _planes_product
+    trace = _trace(planes)
     power = planes
     for count in range(SQUARINGS):
-        if count in RESCALED:
-            power = power * (1 / _trace(np.moveaxis(power, (0, 1), (-2, -1))))
-        power = _planes_product(power, power)
+        if count in RESCALED:  # multiplied: a complex array by a real one divides slowly
+            power = power * (1 / _trace(power))
+        power = product(power, power)
     largest = np.argmax(np.einsum("ii...->i...", power).real, axis=0)
     column = np.take_along_axis(power, largest[None, None], axis=1)[:, 0]  # (N, ...)
-    vector = column * (1 / _norm(column, 0))
-    image = _planes_product(planes, vector[:, None])[:, 0]
+    vector = column * (1 / _norm(column))
+    image = product(planes, vector[:, None])[:, 0]
     value = np.sum(vector.real * image.real + vector.imag * image.imag, axis=0)
     share: FloatArray = value / trace
-    return vector, share
+    return np.moveaxis(vector, 0, -1), share
 
 
 def _planes_product(first: ComplexArray, second: ComplexArray) -> ComplexArray:
-    """Matrix products of planes (N, N, ...) and (N, M, ...)."""
+    """Matrix products of (N, N, ...) and (N, M, ...), entry by entry over all matrices at once."""
     product: ComplexArray = first[:, 0, None] * second[None, 0]
     for k in range(1, len(first)):
         product += first[:, k, None] * second[None, k]
     return product
 
 
-def _norm(vectors: ComplexArray, axis: int) -> FloatArray:
-    """Euclidean norms along an axis, which is kept; at least the smallest float32."""
-    squares = np.sum(vectors.real**2 + vectors.imag**2, axis=axis, keepdims=True)
+def _matrix_product(first: ComplexArray, second: ComplexArray) -> ComplexArray:
+    """The same by BLAS, matrix by matrix."""
+    matrices, others = (np.moveaxis(each, (0, 1), (-2, -1)) for each in (first, second))
+    return np.moveaxis(matrices @ others, (-2, -1), (0, 1))
+
+
+def _norm(vectors: ComplexArray) -> FloatArray:
+    """Euclidean norms (...) of vectors (N, ...), at least the smallest float32."""
+    squares = np.sum(vectors.real**2 + vectors.imag**2, axis=0)
     norm: FloatArray = np.maximum(np.sqrt(squares), np.finfo(np.float32).tiny)
     return norm
 
 
 def _trace(matrices: ComplexArray) -> FloatArray:
-    """Traces (...) of Hermitian matrices, at least the smallest float32."""
-    trace: FloatArray = np.einsum("...ii->...", matrices).real
+    """Traces (...) of Hermitian matrices (N, N, ...), at least the smallest float32."""
+    trace: FloatArray = np.einsum("ii...->...", matrices).real
     return np.maximum(trace, np.finfo(np.float32).tiny)
 
 

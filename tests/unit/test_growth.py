@@ -7,7 +7,6 @@ add, and bounds leave room, so that what fails here is another order of growth.
 from __future__ import annotations
 
 import io
-import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -15,7 +14,7 @@ import pytest
 import soundfile
 
 from service.audio import Recording
-from service.bench import bench_pieces, bench_pipeline, bench_window
+from service.bench import bench_pieces, bench_pipeline, bench_window, cpu_ms
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.inference.bundle import Bundle
@@ -44,12 +43,7 @@ def bundle(registry: BundleRegistry) -> Bundle:
 def least_s(work: Callable[[], object]) -> float:
     """Seconds of CPU time of the quickest of several runs, after one that does not count."""
     work()
-    times = []
-    for _ in range(RUNS):
-        began = time.process_time()
-        work()
-        times.append(time.process_time() - began)
-    return min(times)
+    return min(cpu_ms(work) for _ in range(RUNS)) / 1000
 
 
 def exponent(sizes: Sequence[float], times: Sequence[float]) -> float:
