@@ -1,0 +1,48 @@
+"""Last layers that learned methods share."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from model_export.baselines.network import GRID_SIZE, MAX_SOURCES, Prediction
+
+
+class SpectrumHead(nn.Module):
+    """Embedding (B, D) to a spectrum in (0, 1) and count logits."""
+
+    def __init__(self, inputs: int, grid_size: int = GRID_SIZE) -> None:
+        super().__init__()
+        self.spectrum = nn.Linear(inputs, grid_size)
+        self.count = nn.Linear(inputs, MAX_SOURCES + 1)
+        # Targets are all but zero nearly everywhere.
+        nn.init.constant_(self.spectrum.bias, -2.0)
+
+    def forward(self, embedding: Tensor) -> Prediction:
+        return Prediction(self.count(embedding), spectrum=torch.sigmoid(self.spectrum(embedding)))
+
+
+class DirectionHead(nn.Module):
+    """Embedding (B, D) to directions for every possible count, and count logits.
+
+    A regressed direction has no confidence that would tell a second one from none, hence a set of
+    outputs of its own for every count: what one model per count would have, on a shared trunk.
+    ``kind`` is ``"vectors"`` (x and y) or ``"angles"`` (radians, a half turn times the output).
+    """
+
+    def __init__(self, inputs: int, kind: str = "vectors") -> None:
+        super().__init__()
+        self.kind = kind
+        size = 2 if kind == "vectors" else 1
+        self.directions = nn.ModuleList(
+            nn.Linear(inputs, count * size) for count in range(1, MAX_SOURCES + 1)
+        )
+        self.count = nn.Linear(inputs, MAX_SOURCES + 1)
+
+    def forward(self, embedding: Tensor) -> Prediction:
+        outputs = [linear(embedding) for linear in self.directions]
+        if self.kind == "vectors":
+            vectors = tuple(output.unflatten(-1, (-1, 2)) for output in outputs)
+            return Prediction(self.count(embedding), vectors=vectors)
+        angles = tuple(torch.pi * output for output in outputs)
+        return Prediction(self.count(embedding), angles=angles)
