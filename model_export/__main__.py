@@ -14,6 +14,7 @@ import torch
 from model_export.config import CONFIGS, TrainingConfig, smoke
 from model_export.datasets.noise import noise_recordings
 from model_export.datasets.speech import Split, librispeech, load, speech_commands
+from model_export.experiments.command import add_commands
 from model_export.streams import SceneSource
 from model_export.synthesis import sound_bursts
 from service.doa.presets import PRESETS, preset
@@ -117,6 +118,7 @@ def _parser() -> argparse.ArgumentParser:
 
     _add_finetune(commands)
     _add_own_room(commands)
+    add_commands(commands)
 
     sample = commands.add_parser("sample", help="write the sample recording of the README")
     sample.add_argument("--out", type=Path, required=True)

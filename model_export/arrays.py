@@ -16,8 +16,8 @@ KINDS = ("ring", "ring_and_centre", "irregular", "three_dimensional")
 
 
 def named_array(name: str) -> MicrophoneArray:
-    """The test array or preset of this name, or UnknownArray."""
-    return TEST_ARRAYS.get(name) or preset(name)
+    """The test array, line or preset of this name, or UnknownArray."""
+    return TEST_ARRAYS.get(name) or LINES.get(name) or preset(name)
 
 
 def random_array(
@@ -80,3 +80,16 @@ TEST_ARRAYS: Mapping[str, MicrophoneArray] = MappingProxyType(
 )
 """Arrays that no training names, for evaluation; microphone 0 of a ring is at +x, then
 counter-clockwise"""
+
+LINES: Mapping[str, MicrophoneArray] = MappingProxyType(
+    {
+        array.name: array
+        for array in (
+            MicrophoneArray(
+                "4-mic line, 40 mm apart",
+                np.array([[0, y, 0] for y in (60, 20, -20, -60)]) / 1000,
+            ),
+        )
+    }
+)
+"""Uniform lines along y, for methods that need one; they hear the half towards +x"""

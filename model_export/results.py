@@ -10,6 +10,7 @@ from typing import Any
 
 from model_export.bars import bars_section
 from model_export.datasets.speech import Split
+from model_export.experiments.report import kept_section
 from model_export.methods import PEER
 from model_export.reliability import Reliability
 
@@ -98,10 +99,15 @@ class Results:
         return cls(**fields, reliability=found)
 
     def write(self, folder: Path) -> None:
-        """``results.json``, and ``results.md`` with the bars and a table per score."""
+        """``results.json``, and ``results.md`` with the bars and a table per score.
+
+        The paper's comparison in it (``experiments.report``) stays.
+        """
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "results.json").write_text(json.dumps(asdict(self), indent=1) + "\n")
-        (folder / "results.md").write_text(self.document())
+        document = folder / "results.md"
+        comparison = kept_section(document)
+        document.write_text("\n".join(filter(None, [self.document(), comparison])))
 
     def document(self) -> str:
         """The text of ``results.md``."""

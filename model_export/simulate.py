@@ -49,6 +49,8 @@ class Protocol:
     min_separation_deg: float = 10.0
     separation_deg: float | None = None
     """Fixed angle between two sources; None draws it"""
+    azimuths_deg: tuple[float, ...] | None = None
+    """Directions that every source's is drawn from; None: all around"""
     continuous: bool = False
     """Talkers speak before, throughout and after the window, not one word from its beginning"""
     num_samples: int = WINDOW_SAMPLES
@@ -149,7 +151,10 @@ def _place(
     low = 0.1 - np.asarray(room.centre)
     high = np.asarray(room.size) - 0.1 - np.asarray(room.centre)
     while True:
-        azimuth = rng.uniform(0, 2 * np.pi, count)
+        if protocol.azimuths_deg is None:
+            azimuth = rng.uniform(0, 2 * np.pi, count)
+        else:
+            azimuth = np.deg2rad(rng.choice(protocol.azimuths_deg, count))
         if protocol.separation_deg is not None and count == 2:
             azimuth[1] = (azimuth[0] + np.deg2rad(protocol.separation_deg)) % (2 * np.pi)
         distance = rng.uniform(*protocol.distance, count)

@@ -1,0 +1,113 @@
+"""``python -m model_export experiments`` and ``methods``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from model_export.experiments.scale import SCALES
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """One table or figure of the paper."""
+
+    name: str
+    title: str
+    run: Callable[[Any, Path], Any]
+    """Of a study and the folder for figures"""
+
+
+def experiments() -> dict[str, Experiment]:
+    """All of them by name, in the document's order."""
+    from model_export.experiments import curves, self_supervision, spectra, tables
+
+    found = (
+        Experiment("main", "Main table", lambda study, _: tables.main_table(study)),
+        Experiment("ablation", "Ablation", lambda study, _: tables.ablation(study)),
+        Experiment("share", "Share of the training data", curves.training_share),
+        Experiment("snr", "Noise", curves.snr),
+        Experiment("transfer", "Other rooms and arrays", lambda study, _: tables.transfer(study)),
+        Experiment("sparse", "Sparse directions", lambda study, _: tables.sparse_angles(study)),
+        Experiment("sscl", "Self-supervised learning: loss", self_supervision.sscl_loss),
+        Experiment(
+            "reconstructions",
+            "Self-supervised learning: reconstructions",
+            self_supervision.reconstructions,
+        ),
+        Experiment("latent", "Latent covariance features", self_supervision.latent_features),
+        Experiment("spectra", "Spectra side by side", spectra.spectra),
+        Experiment("line", "Microphones on a line", lambda study, _: tables.line(study)),
+    )
+    return {experiment.name: experiment for experiment in found}
+
+
+NAMES = (
+    "main", "ablation", "share", "snr", "transfer", "sparse", "sscl", "reconstructions", "latent",
+    "spectra", "line",
+)  # fmt: skip
+
+
+def add_commands(commands: Any) -> None:
+    """The two subcommands."""
+    listing = commands.add_parser("methods", help="list every method of the paper's comparison")
+    listing.add_argument("--json", action="store_true", help="as a JSON array of objects")
+    listing.set_defaults(run_command=_methods)
+
+    run = commands.add_parser("experiments", help="reproduce the paper's tables and figures")
+    run.add_argument(
+        "names",
+        nargs="+",
+        choices=(*NAMES, "all"),
+        metavar="NAME",
+        help=f"{', '.join(NAMES)} or all",
+    )
+    run.add_argument("--scale", choices=sorted(SCALES), default="small")
+    run.add_argument("--speech-commands", type=Path, required=True, help="corpus folder")
+    run.add_argument(
+        "--runs",
+        type=Path,
+        default=Path("runs/experiments"),
+        help="folder of scenes, trainings and scores; what is there is not done again",
+    )
+    run.add_argument("--out", type=Path, help="docs folder to renew (default: only print)")
+    run.add_argument("--workers", type=int, default=1, help="processes")
+    run.set_defaults(run_command=_run)
+
+
+def _methods(arguments: argparse.Namespace) -> None:
+    from model_export.baselines.catalogue import described
+
+    found = described()
+    if arguments.json:
+        print(json.dumps(found, indent=2))
+        return
+    for method in found:
+        size = f"{method['parameters']:,} parameters" if method["parameters"] else "no parameters"
+        print(f"{method['name']:15}{method['kind']:11}{size:24}{method['source']}")
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    from model_export.experiments.report import FOLDER, keep, renew, section
+    from model_export.experiments.study import Study
+
+    folder = arguments.runs / arguments.scale
+    study = Study(folder, arguments.scale, arguments.speech_commands, arguments.workers)
+    known = experiments()
+    names = list(NAMES) if "all" in arguments.names else arguments.names
+    figures = (arguments.out or folder) / FOLDER
+    for name in names:
+        finding = known[name].run(study, figures)
+        print(f"\n### {known[name].title}\n\n{finding.markdown()}\n")
+        if arguments.out:
+            command = (
+                f"python -m model_export experiments {name} --scale {arguments.scale} "
+                "--speech-commands SPEECH_COMMANDS --out docs"
+            )
+            keep(arguments.out, name, known[name].title, command, arguments.scale, finding)
+            text = section(arguments.out, list(NAMES), asdict(study.scale))
+            renew(arguments.out / "results.md", text)

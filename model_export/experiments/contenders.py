@@ -1,0 +1,43 @@
+"""Which methods an experiment compares."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from model_export.baselines.catalogue import cards, classical, learned
+from model_export.experiments.study import Contender
+from model_export.experiments.training import Training
+
+NEURALMUSIC = Training("neuralmusic", pretrained=True)
+
+
+def classical_contenders(*, linear: bool = False) -> list[Contender]:
+    """Classical methods that fit a planar array, or a line."""
+    methods = classical().items()
+    return [Contender(name) for name, method in methods if linear or not method.card.linear_only]
+
+
+def cited_contenders() -> list[Contender]:
+    """The networks as published."""
+    return [Contender(f"{name}, cited", Training(name, "cited")) for name in learned()]
+
+
+def matched_contenders(**variant: object) -> list[Contender]:
+    """The networks with our input, targets and count branch, NeuralMUSIC last.
+
+    ``variant`` are fields of their ``Training``.
+    """
+    trainings = [*(Training(name) for name in learned()), NEURALMUSIC]
+    return [Contender(each.method, _replaced(each, variant)) for each in trainings]
+
+
+def title(label: str) -> str:
+    """What tables call a contender."""
+    name, _, rest = label.partition(", ")
+    known = cards()
+    base = known[name].title if name in known else name
+    return f"{base}, {rest}" if rest else base
+
+
+def _replaced(training: Training, variant: dict[str, object]) -> Training:
+    return replace(training, **variant)  # type: ignore[arg-type]

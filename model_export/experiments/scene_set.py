@@ -1,0 +1,125 @@
+"""Scenes of an experiment: simulated or cut from recordings once, then read by every method."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from model_export.arrays import named_array
+from model_export.baselines.network import MAX_SOURCES
+from model_export.datasets.speech import Split
+from model_export.scenes import WINDOW_SAMPLES
+from model_export.simulate import Protocol, simulate_scene
+from model_export.workers import Inputs, Workers
+from service.doa.array import MicrophoneArray
+from service.doa.types import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """Which scenes: protocols in turn, speakers, a seed."""
+
+    name: str
+    protocols: tuple[Protocol, ...]
+    """Scene k has protocol k modulo their number"""
+    split: Split
+    count: int
+    seed: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneSet:
+    """Windows of one array with their sources."""
+
+    audio: FloatArray
+    """(S, N, T) float16 at 16 kHz with a peak of 1, on disk until it is read"""
+    azimuth: FloatArray
+    """(S, MAX_SOURCES) radians, NaN behind a scene's sources"""
+    array: MicrophoneArray
+
+    def __len__(self) -> int:
+        return len(self.azimuth)
+
+    def window(self, index: int) -> FloatArray:
+        """One scene's audio (N, T) float32."""
+        window: FloatArray = self.audio[index].astype(np.float32)
+        return window
+
+    def sources(self, index: int) -> FloatArray:
+        """One scene's directions (M,) in radians."""
+        row = self.azimuth[index]
+        sources: FloatArray = row[np.isfinite(row)]
+        return sources
+
+    def share(self, share: float, seed: int = 0) -> SceneSet:
+        """A random part, whatever the scenes' order: no direction is favoured."""
+        kept = np.random.default_rng(seed).permutation(len(self))[: round(share * len(self))]
+        return SceneSet(self.audio[np.sort(kept)], self.azimuth[np.sort(kept)], self.array)
+
+    @classmethod
+    def read(cls, folder: Path) -> SceneSet:
+        """The set that ``write`` left."""
+        described = json.loads((folder / "array.json").read_text())
+        array = MicrophoneArray(described["name"], np.array(described["positions_m"]))
+        return cls(
+            np.load(folder / "audio.npy", mmap_mode="r"), np.load(folder / "azimuth.npy"), array
+        )
+
+    @classmethod
+    def write(
+        cls, folder: Path, scenes: Iterable[tuple[FloatArray, FloatArray]], array: MicrophoneArray
+    ) -> SceneSet:
+        """Keep scenes, each with audio (N, T) and azimuths (M,), and read them again.
+
+        Longer windows are cut, shorter ones padded to ``WINDOW_SAMPLES``; further sources than
+        ``MAX_SOURCES`` are refused with ValueError.
+        """
+        audio, azimuth = [], []
+        for samples, sources in scenes:
+            if len(sources) > MAX_SOURCES:
+                raise ValueError(
+                    f"a window with {len(sources)} sources: the comparison has at most "
+                    f"{MAX_SOURCES}"
+                )
+            audio.append(_half_precision(samples))
+            azimuth.append(np.pad(sources, (0, MAX_SOURCES - len(sources)), constant_values=np.nan))
+        folder.mkdir(parents=True, exist_ok=True)
+        np.save(folder / "audio.npy", np.stack(audio))
+        np.save(folder / "azimuth.npy", np.stack(azimuth).astype(np.float32))
+        # Last: its presence says that the set is whole.
+        (folder / "array.json").write_text(
+            json.dumps({"name": array.name, "positions_m": array.positions.tolist()}) + "\n"
+        )
+        return cls.read(folder)
+
+
+def simulated(folder: Path, recipe: Recipe, speech: Sequence[FloatArray], workers: int) -> SceneSet:
+    """The recipe's scenes, simulated unless the folder holds them."""
+    if not (folder / "array.json").exists():
+        from model_export.methods import Methods
+
+        with Workers(Inputs(Methods(()), speech, recipe.seed), workers) as pool:
+            scenes = pool.map(
+                _simulate, [(recipe, index) for index in range(recipe.count)], recipe.name
+            )
+        SceneSet.write(folder, scenes, named_array(recipe.protocols[0].array))
+    return SceneSet.read(folder)
+
+
+def _simulate(inputs: Inputs, task: tuple[Recipe, int]) -> tuple[FloatArray, FloatArray]:
+    recipe, index = task
+    protocol = recipe.protocols[index % len(recipe.protocols)]
+    scene = simulate_scene(protocol, inputs.speech, [recipe.seed, index])
+    return _half_precision(scene.audio), scene.azimuth
+
+
+def _half_precision(samples: FloatArray) -> FloatArray:
+    """(N, WINDOW_SAMPLES) float16 with a peak of 1: its errors are 70 dB below."""
+    kept = samples[:, :WINDOW_SAMPLES]
+    kept = np.pad(kept, [(0, 0), (0, WINDOW_SAMPLES - kept.shape[1])])
+    scaled: FloatArray = (kept / max(float(np.abs(kept).max()), 1e-9)).astype(np.float16)
+    return scaled

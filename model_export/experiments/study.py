@@ -1,0 +1,247 @@
+"""One run of the experiments on disk: scene sets, trainings and scores, each computed once."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from model_export.baselines.catalogue import classical, network
+from model_export.baselines.method import Method
+from model_export.baselines.network import LearnedMethod
+from model_export.baselines.neuralmusic import CovarianceTrunk
+from model_export.datasets.speech import load, speech_commands
+from model_export.experiments.augmentation import white_noise
+from model_export.experiments.cells import Cell, recipes
+from model_export.experiments.scale import SCALES, Scale
+from model_export.experiments.scene_set import SceneSet, simulated
+from model_export.experiments.training import (
+    TUNING_RATE,
+    Budget,
+    Training,
+    describe,
+    fit,
+    pretrain,
+)
+from service.doa import scoring
+from service.doa.mirror import into_searched_half
+from service.doa.types import FloatArray
+
+SEED = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Contender:
+    """A method in a table: a classical one by its name, or a training."""
+
+    label: str
+    """The method's name in the catalogue, and its variant"""
+    training: Training | None = None
+
+    @property
+    def key(self) -> str:
+        """A name for files."""
+        return self.training.key if self.training else self.label
+
+
+Scores = dict[str, float]
+"""``scoring.evaluate``'s, and ``cpu_ms`` a window"""
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """Where a scale's work lies and what it is made of."""
+
+    folder: Path
+    scale_name: str
+    speech: Path
+    """Speech Commands"""
+    workers: int = 1
+
+    @property
+    def scale(self) -> Scale:
+        return SCALES[self.scale_name]
+
+    def scenes(self, name: str) -> SceneSet:
+        """A scene set that ``simulate`` has made."""
+        return SceneSet.read(self.folder / "scenes" / name)
+
+    def simulate(self, names: Iterable[str]) -> None:
+        """Make the scene sets that are missing."""
+        known = recipes(self.scale)
+        for name in dict.fromkeys(names):
+            recipe, folder = known[name], self.folder / "scenes" / name
+            if not (folder / "array.json").exists():
+                speech = load(speech_commands(self.speech, recipe.split))
+                simulated(folder, recipe, speech, self.workers)
+
+    def train(self, trainings: Iterable[Training]) -> None:
+        """Do the trainings that are not done, and what they start from."""
+        wanted = list(dict.fromkeys(trainings))
+        bases = [replace(training, tuned_to=None) for training in wanted]
+        self.simulate(
+            name for each in wanted for name in (each.scenes, each.tuned_to) if name is not None
+        )
+        first = {each.scenes: None for each in wanted if each.pretrained}
+        self._work(_pretrain, [(self, name) for name in first], "self-supervised")
+        self._work(_train, [(self, each) for each in dict.fromkeys(bases)], "training")
+        tuned = [each for each in wanted if each.tuned_to]
+        self._work(_train, [(self, each) for each in tuned], "fine-tuning")
+
+    def scored(
+        self, contenders: Sequence[Contender], cells: Sequence[Cell]
+    ) -> dict[str, dict[Cell, Scores]]:
+        """Every contender's scores in every cell, by its label."""
+        self.simulate(cell.scenes for cell in cells)
+        self.train(each.training for each in contenders if each.training)
+        tasks = [(self, each, cell) for each in contenders for cell in cells]
+        found = iter(self._work(_score, tasks, "scoring"))
+        return {each.label: {cell: next(found) for cell in cells} for each in contenders}
+
+    def run(self, training: Training) -> Path:
+        """The folder of a training."""
+        return self.folder / "trainings" / training.key
+
+    def pretraining(self, scenes: str) -> Path:
+        """The folder of a self-supervised stage."""
+        return self.folder / "pretrainings" / scenes
+
+    def method(self, contender: Contender) -> Method:
+        """The contender, ready to answer."""
+        if contender.training is None:
+            return classical()[contender.label]
+        fresh = _fresh(self, contender.training)
+        state = torch.load(self.run(contender.training) / "checkpoint.pt", weights_only=True)
+        fresh.load_state_dict(state["model"])
+        return LearnedMethod(fresh)
+
+    def _work(self, job: Callable[[Any], Any], tasks: Sequence[Any], description: str) -> list[Any]:
+        """Results in the tasks' order, under a progress bar; what is done returns at once."""
+        if not tasks:
+            return []
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+        )
+        with Progress(*columns) as progress:
+            bar = progress.add_task(description, total=len(tasks))
+            if self.workers == 1 or len(tasks) < 2:
+                results = []
+                for task in tasks:
+                    results.append(job(task))
+                    progress.advance(bar)
+                return results
+            context = multiprocessing.get_context("spawn")
+            with ProcessPoolExecutor(self.workers, context, initializer=_single_thread) as pool:
+                futures = [pool.submit(job, task) for task in tasks]
+                for future in futures:
+                    future.add_done_callback(lambda _: progress.advance(bar))
+                return [future.result() for future in futures]
+
+
+def _single_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def _fresh(study: Study, training: Training) -> Any:
+    torch.manual_seed(SEED)
+    array = study.scenes(training.scenes).array
+    return network(
+        training.method,
+        training.track,
+        array.num_microphones,
+        reduced=study.scale.reduced,
+        attention=training.attention,
+    )
+
+
+def _silent(step: int, steps: int, loss: float) -> None:
+    """Trainings in processes of their own are told by the bar of all trainings."""
+
+
+def _pretrain(task: tuple[Study, str]) -> None:
+    study, name = task
+    budget = Budget(study.scale.pretraining_epochs, study.scale.batch_size)
+    pretrain(study.scenes(name), budget, study.pretraining(name), SEED, _silent)
+
+
+def _train(task: tuple[Study, Training]) -> None:
+    study, training = task
+    scale, run, fresh = study.scale, study.run(training), _fresh(study, training)
+    if training.tuned_to:
+        base = study.run(replace(training, tuned_to=None)) / "checkpoint.pt"
+        fresh.load_state_dict(torch.load(base, weights_only=True)["model"])
+        scenes = study.scenes(training.tuned_to)
+        budget = Budget(scale.tuning_epochs, scale.batch_size, TUNING_RATE)
+    else:
+        scenes = study.scenes(training.scenes)
+        budget = Budget(scale.epochs, scale.batch_size)
+        if training.share < 1:
+            scenes = scenes.share(training.share, SEED)
+    if training.pretrained and not training.tuned_to:
+        _take_encoder(fresh.trunk, study.pretraining(training.scenes))
+    describe(run, training, budget)
+    fit(fresh, scenes, budget, run, SEED, _silent)
+
+
+def _take_encoder(trunk: CovarianceTrunk, pretraining: Path) -> None:
+    """Every parameter and statistic of the self-supervised encoder."""
+    state = torch.load(pretraining / "checkpoint.pt", weights_only=True)["model"]
+    prefix = "encoder."
+    trunk.encoder.load_state_dict(
+        {name[len(prefix) :]: value for name, value in state.items() if name.startswith(prefix)}
+    )
+
+
+def _score(task: tuple[Study, Contender, Cell]) -> Scores:
+    study, contender, cell = task
+    path = study.folder / "scores" / cell.key / f"{contender.key}.json"
+    if path.exists():
+        scores: Scores = json.loads(path.read_text())
+        return scores
+    scores = score(study.method(contender), study.scenes(cell.scenes), cell)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(scores) + "\n")
+    return scores
+
+
+def score(method: Method, scenes: SceneSet, cell: Cell) -> Scores:
+    """A method's scores on a set; those that do not count are told the truth in every cell.
+
+    On a line of microphones front and back are one, in the truth as in the answers.
+    """
+    found, truth, spent = [], [], []
+    for index in range(min(len(scenes), cell.first or len(scenes))):
+        sources = scenes.sources(index)
+        told = len(sources) if cell.count_known or not method.counts else None
+        audio = heard(scenes, index, cell.snr_db)
+        begun = time.process_time()
+        found.append(method.localize(audio, scenes.array, told).azimuth)
+        spent.append(time.process_time() - begun)
+        truth.append(into_searched_half(scenes.array, sources))
+    scores = scoring.evaluate(found, truth)
+    return {**scores, "cpu_ms": 1000 * float(np.median(spent)), "scenes": float(len(found))}
+
+
+def heard(scenes: SceneSet, index: int, snr_db: float | None) -> FloatArray:
+    """One scene's window (N, T), with further noise where a ratio is given."""
+    window = scenes.window(index)
+    if snr_db is None:
+        return window
+    return white_noise(np.random.default_rng([SEED, index]), window, snr_db)
+
+
+def describe_scale(scale: Scale) -> dict[str, Any]:
+    """What the tables say of a scale."""
+    return asdict(scale)

@@ -1,0 +1,220 @@
+"""One network's training on a scene set, resumable, and its self-supervised stage."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from torch import nn
+
+from model_export.baselines.network import BaselineNetwork, Truth
+from model_export.config import PAPER_SSCL
+from model_export.experiments.augmentation import sometimes_noisy, symmetries
+from model_export.experiments.scene_set import SceneSet
+from model_export.scenes import Scene
+from model_export.sscl import SsclTask
+from service.doa.types import FloatArray
+
+Track = Literal["cited", "matched"]
+"""As published, with its own features; or with our input, targets and count branch"""
+
+TUNING_RATE = 0.3
+"""Of the learning rate: fine-tuning keeps what the first training has found"""
+CHECKPOINT_STEPS = 50
+VALIDATION_SHARE = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Training:
+    """What is trained on what; equal trainings are done once."""
+
+    method: str
+    track: Track = "matched"
+    scenes: str = "train"
+    """Name of the scene set"""
+    share: float = 1.0
+    """Of the scene set, drawn at random"""
+    pretrained: bool = False
+    """Whether the encoder comes from self-supervised learning on the whole scene set"""
+    attention: bool = True
+    """Whether frequencies are weighed (FAF) or count alike"""
+    tuned_to: str | None = None
+    """Scene set of a fine-tuning after the training"""
+
+    @property
+    def key(self) -> str:
+        """A name for files."""
+        parts = [self.method, self.track, self.scenes, f"{100 * self.share:g}"]
+        parts += ["sscl"] if self.pretrained else []
+        parts += [] if self.attention else ["mean"]
+        parts += [f"to-{self.tuned_to}"] if self.tuned_to else []
+        return "-".join(parts)
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """How long a network is trained."""
+
+    epochs: int
+    batch_size: int
+    rate: float = 1.0
+    """Of the network's own learning rate"""
+
+
+Progress = Callable[[int, int, float], None]
+"""Told the step, the number of steps and the running loss"""
+
+
+def fit(
+    network: BaselineNetwork,
+    scenes: SceneSet,
+    budget: Budget,
+    run: Path,
+    seed: int,
+    progress: Progress,
+) -> BaselineNetwork:
+    """Train on a scene set, going on where the run's checkpoint stopped.
+
+    The seed and the step decide every batch, so that an interrupted training ends like a whole one
+    but for the optimizer's rounding.
+    """
+    per_epoch = max(1, len(scenes) // budget.batch_size)
+    steps = budget.epochs * per_epoch
+    fitting = _Fitting(network, network.learning_rate * budget.rate, steps, run)
+    turns = symmetries(scenes.array)
+    network.train()
+    while fitting.step < steps:
+        epoch, place = divmod(fitting.step, per_epoch)
+        order = np.random.default_rng([seed, epoch]).permutation(len(scenes))
+        chosen = order[place * budget.batch_size : (place + 1) * budget.batch_size]
+        rng = np.random.default_rng([seed, 1, fitting.step])
+        audio, truth = _batch(rng, scenes, chosen, turns)
+        array = scenes.array
+        if network.steered:
+            turn = float(rng.uniform(0, 2 * np.pi))
+            array, truth = array.rotated(turn), replace(truth, azimuth=truth.azimuth + turn)
+        prediction = network(torch.from_numpy(network.features(audio)), array, truth.count)
+        fitting.optimize(network.loss(prediction, truth, array))
+        progress(fitting.step, steps, fitting.running)
+    return network.eval()
+
+
+def pretrain(
+    scenes: SceneSet, budget: Budget, run: Path, seed: int, progress: Progress
+) -> tuple[nn.Module, list[dict[str, float]]]:
+    """The self-supervised stage on a scene set without its labels: the task's model, its curve."""
+    task = SsclTask(PAPER_SSCL)
+    per_epoch = max(1, len(scenes) // budget.batch_size)
+    fitting = _Fitting(
+        task.model, PAPER_SSCL.learning_rate * budget.rate, budget.epochs * per_epoch, run
+    )
+    task.model.train()
+    while fitting.step < fitting.steps:
+        rng = np.random.default_rng([seed, 2, fitting.step])
+        chosen = np.sort(
+            rng.choice(len(scenes), min(budget.batch_size, len(scenes)), replace=False)
+        )
+        batch = task.collate(rng, [_unlabelled(scenes, int(index)) for index in chosen])
+        fitting.optimize(task.losses(batch)["loss"])
+        progress(fitting.step, fitting.steps, fitting.running)
+    task.model.eval()
+    return task.model, fitting.curve
+
+
+class _Fitting:
+    """Optimizer, schedule, checkpoints and curve of one run."""
+
+    def __init__(self, model: nn.Module, rate: float, steps: int, run: Path) -> None:
+        self.model, self.steps, self.step, self.running = model, steps, 0, float("nan")
+        self.curve: list[dict[str, float]] = []
+        self._run = run
+        self._optimizer = torch.optim.Adam(model.parameters(), rate)
+        warm = max(1, min(100, steps // 10))
+        self._schedule = torch.optim.lr_scheduler.LambdaLR(
+            self._optimizer,
+            lambda step: (
+                min(1.0, (step + 1) / warm)
+                * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * step / steps)))
+            ),
+        )
+        run.mkdir(parents=True, exist_ok=True)
+        if (run / "checkpoint.pt").exists():
+            self._resume(torch.load(run / "checkpoint.pt", weights_only=True))
+
+    def optimize(self, loss: torch.Tensor) -> None:
+        """One step; now and then a checkpoint, always at the end."""
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
+        self._optimizer.step()
+        self._schedule.step()
+        self.step += 1
+        value = float(loss.detach())
+        self.running = value if np.isnan(self.running) else 0.95 * self.running + 0.05 * value
+        if self.step % CHECKPOINT_STEPS == 0 or self.step == self.steps:
+            self.curve.append({"step": self.step, "loss": self.running})
+            self._save()
+
+    def _save(self) -> None:
+        unfinished = self._run / "checkpoint.part"
+        state = {
+            "step": self.step,
+            "running": self.running,
+            "model": self.model.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "schedule": self._schedule.state_dict(),
+        }
+        torch.save(state, unfinished)
+        unfinished.rename(self._run / "checkpoint.pt")
+        (self._run / "curve.json").write_text(json.dumps(self.curve) + "\n")
+
+    def _resume(self, state: dict[str, Any]) -> None:
+        self.model.load_state_dict(state["model"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self._schedule.load_state_dict(state["schedule"])
+        self.step, self.running = int(state["step"]), float(state["running"])
+        self.curve = json.loads((self._run / "curve.json").read_text())
+
+
+def describe(run: Path, training: Training, budget: Budget) -> None:
+    """Write down what a run is.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds a run of another training or budget.
+    """
+    described = {**asdict(training), **asdict(budget)}
+    path = run / "training.json"
+    if path.exists() and json.loads(path.read_text()) != described:
+        raise ValueError(f"{run} holds another training: remove it or name another --runs folder")
+    run.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(described, indent=2) + "\n")
+
+
+def _batch(
+    rng: np.random.Generator,
+    scenes: SceneSet,
+    chosen: np.ndarray[Any, Any],
+    turns: list[tuple[Any, float]],
+) -> tuple[FloatArray, Truth]:
+    """Noisy windows (B, N, T), each seen from one of the array's symmetric sides, and the truth."""
+    audio = scenes.audio[np.sort(chosen)].astype(np.float32)
+    azimuth = scenes.azimuth[np.sort(chosen)].astype(np.float32).copy()
+    for index in range(len(audio)):
+        permutation, turn = turns[int(rng.integers(len(turns)))]
+        audio[index] = audio[index][permutation]
+        azimuth[index] += np.float32(turn)
+    mask = np.isfinite(azimuth)
+    truth = Truth(torch.from_numpy(np.where(mask, azimuth, 0)), torch.from_numpy(mask))
+    return sometimes_noisy(rng, audio), truth
+
+
+def _unlabelled(scenes: SceneSet, index: int) -> Scene:
+    return Scene(scenes.window(index), scenes.array.positions, np.empty(0))
