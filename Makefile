@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 HOST := $(or $(NEURALMUSIC_HOST),127.0.0.1)
 PORT := $(or $(NEURALMUSIC_PORT),8000)
 
-.PHONY: help install run test test-docker test-faults test-fuzz test-ray test-soak lint types format bench contracts audit clean
+.PHONY: help install run test test-docker test-faults test-fuzz test-learns test-ray test-soak lint types format bench contracts audit clean
 
 help:
 	@echo "make run      install and start the service with its embedded model (no torch)"
@@ -13,6 +13,7 @@ help:
 	@echo "make test-docker  build the image, start it as docs/deployment.md says, restart it under load"
 	@echo "make test-faults  killed workers and replicas, cut networks, full disks (as root)"
 	@echo "make test-fuzz    hostile requests, uploads and streams by the thousand"
+	@echo "make test-learns  every learned method of the comparison overfits a handful of scenes"
 	@echo "make test-soak    a minute of robots, churn and faults"
 	@echo "make test-ray     replicas and batches on Ray, which it installs"
 	@echo "make install  only install everything, torch for the CPU included"
@@ -47,7 +48,7 @@ run: $(VENV)/.ready
 test: install
 	$(BIN)/python -m pytest
 
-test-docker test-faults test-fuzz test-soak: test-%: install
+test-docker test-faults test-fuzz test-learns test-soak: test-%: install
 	$(BIN)/python -m pytest -m $* -rs
 
 test-ray: install

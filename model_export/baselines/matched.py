@@ -17,20 +17,13 @@ from torch import Tensor, nn
 
 from model_export.baselines.heads import SpectrumHead
 from model_export.baselines.method import Card
-from model_export.baselines.network import (
-    GRID_SIZE,
-    MAX_SOURCES,
-    BaselineNetwork,
-    Prediction,
-    Truth,
-)
+from model_export.baselines.music import LOG_FLOOR, array_products, music_spectrum
+from model_export.baselines.network import MAX_SOURCES, BaselineNetwork, Prediction, Truth
 from model_export.networks import NUM_FRAMES, FrequencyAttentionFusion, SourceCountNetwork
 from model_export.regression import counted_projector, subspace_distance
-from model_export.subspace import delay_products, signal_power
-from model_export.tasks import STFT, steering_delays
+from model_export.tasks import STFT
 from service.doa.array import MicrophoneArray
 from service.doa.spectrogram import spectrogram_features
-from service.doa.steering import azimuth_grid
 from service.doa.types import FloatArray
 
 
@@ -76,7 +69,7 @@ class MatchedSubspace(BaselineNetwork):
         self.count = SourceCountNetwork(num_microphones, MAX_SOURCES)
         self.frequencies = STFT.frequencies[np.asarray(trunk.bins)]
         self.fusion = FrequencyAttentionFusion(len(self.frequencies)) if attention else None
-        self.log_floor = nn.Parameter(torch.tensor(-3.2))
+        self.log_floor = nn.Parameter(torch.tensor(LOG_FLOOR))
 
     def features(self, audio: FloatArray) -> FloatArray:
         return matched_features(audio)
@@ -89,21 +82,13 @@ class MatchedSubspace(BaselineNetwork):
             parts, logits = self.trunk(features).float(), self.count(features).float()
         covariance = torch.complex(parts[:, :, 0], parts[:, :, 1])  # (B, F, N, N)
         projector = counted_projector(covariance, logits.argmax(-1) if counts is None else counts)
-        products = self._products(array, torch.from_numpy(azimuth_grid(GRID_SIZE))[None])[0]
-        power = signal_power(projector.transpose(0, 1), products)  # (F, B, A)
-        spectrum = 1 / (1 - power.clamp(max=1) + self.log_floor.exp())
-        spectrum = (spectrum / spectrum.amax(-1, keepdim=True)).transpose(0, 1)  # (B, F, A)
+        floor = self.log_floor.exp()
+        spectrum = music_spectrum(projector, array, self.frequencies, floor)  # (B, F, A)
         fused = spectrum.mean(1) if self.fusion is None else self.fusion(spectrum)
         return Prediction(logits, spectrum=fused, projector=projector)
 
     def loss(self, prediction: Prediction, truth: Truth, array: MicrophoneArray) -> Tensor:
         assert prediction.projector is not None
-        products = self._products(array, truth.azimuth)
+        products = array_products(array, truth.azimuth, self.frequencies)
         subspace = subspace_distance(prediction.projector, products, truth.mask)
         return super().loss(prediction, truth, array) + subspace
-
-    def _products(self, array: MicrophoneArray, azimuth: Tensor) -> Tensor:
-        """``delay_products`` (B, F, N^2, A) of azimuths (B, A) in radians."""
-        delays = [steering_delays(array.positions, row) for row in azimuth.double().numpy()]
-        frequencies = torch.from_numpy(self.frequencies).float()
-        return delay_products(torch.from_numpy(np.stack(delays)), frequencies)

@@ -56,6 +56,8 @@ class Prediction:
     """For 1, 2, ... sources (B, M): radians, any wrap"""
     projector: Tensor | None = None
     """(B, F, N, N) complex, of hybrid methods: on the signal subspaces"""
+    covariance: Tensor | None = None
+    """(B, F, N, N) complex, of methods that are trained on it"""
 
 
 class BaselineNetwork(nn.Module):

@@ -1,0 +1,109 @@
+"""Narrow bands of a window: their snapshots, covariances and the ideal ones.
+
+The subspace methods of the comparison were published for one narrow band. Here they see a choice of
+STFT bins: frames are a band's snapshots, scaled to unit mean power over microphones and frames so
+that every band has its say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from model_export.baselines.network import Truth
+from model_export.networks import NUM_FRAMES
+from model_export.tasks import STFT, steering_delays
+from service.doa.array import MicrophoneArray
+from service.doa.features import LEVEL_FLOOR, LEVEL_SCALE
+from service.doa.types import FloatArray
+
+CITED_BANDS = 10
+"""As many as DA-MUSIC's broadband variants have"""
+MATCHED_BANDS = 32
+LOWEST, HIGHEST = 300.0, 3500.0
+"""Hertz: speech below the spatial aliasing of a square of 46 mm"""
+
+
+def band_bins(count: int) -> tuple[int, ...]:
+    """So many STFT bins at equal distances from ``LOWEST`` to ``HIGHEST``."""
+    wanted = np.linspace(LOWEST, HIGHEST, count) * STFT.n_fft / STFT.sample_rate
+    return tuple(int(index) for index in wanted.round())
+
+
+def band_snapshots(audio: FloatArray, bins: Sequence[int]) -> Tensor:
+    """Snapshots (B, N, K, 64) complex of windows (B, N, T) in K bins."""
+    spectra = STFT.transform(audio)[..., :NUM_FRAMES][:, :, list(bins)]
+    return _unit_power(torch.from_numpy(np.ascontiguousarray(spectra)))
+
+
+def matched_snapshots(features: Tensor, bins: Sequence[int]) -> Tensor:
+    """Snapshots (B, N, K, 64) complex, of the matched track's features (B, 2N, 257, 64).
+
+    The same as ``band_snapshots`` but for the phase of microphone 0, which is zero: channels 0 to
+    N - 1 are real parts of unit vectors, N is the level, the others are imaginary parts.
+    """
+    cells = features[:, :, list(bins)].float()
+    microphones = cells.shape[1] // 2
+    level = cells[:, microphones : microphones + 1]
+    power = (torch.exp(level / LEVEL_SCALE) - LEVEL_FLOOR).clamp(min=0)
+    imaginary = F.pad(cells[:, microphones + 1 :], (0, 0, 0, 0, 1, 0))
+    return _unit_power(power.sqrt() * torch.complex(cells[:, :microphones], imaginary))
+
+
+def lagged_covariances(snapshots: Tensor, lags: int) -> Tensor:
+    """E[x(t) x(t + lag)^H] for lags from 0: (B, K, lags, N, N) of snapshots (B, N, K, L).
+
+    Lag 0 alone is the sample covariance; its trace is N.
+    """
+    by_band = snapshots.transpose(1, 2)  # (B, K, N, L)
+    frames = by_band.shape[-1]
+    products = [
+        by_band[..., : frames - lag] @ by_band[..., lag:].mH / (frames - lag) for lag in range(lags)
+    ]
+    return torch.stack(products, 2)
+
+
+def ideal_covariance(array: MicrophoneArray, truth: Truth, frequencies: FloatArray) -> Tensor:
+    """Of sources of equal power without noise: (B, K, N, N) complex, with a trace of N.
+
+    Zero where there is no source.
+    """
+    delays = np.stack([steering_delays(array.positions, a) for a in truth.azimuth.double().numpy()])
+    phase = 2 * np.pi * frequencies[:, None, None] * delays[:, None]  # (B, K, N, M)
+    steering = torch.from_numpy(np.exp(1j * phase).astype(np.complex64))
+    share = truth.mask / truth.count.clamp(min=1)[:, None]  # (B, M)
+    return (steering * share[:, None, None]) @ steering.mH
+
+
+def planes(matrix: Tensor) -> Tensor:
+    """Real and imaginary part (..., 2, N, N) of complex (..., N, N)."""
+    return torch.stack([matrix.real, matrix.imag], -3)
+
+
+def hermitian_planes(parts: Tensor) -> Tensor:
+    """(R + R^H) / 2 of (..., 2, N, N); its eigenvalues may be negative."""
+    real, imaginary = parts.unbind(-3)
+    return 0.5 * torch.stack([real + real.mT, imaginary - imaginary.mT], -3)
+
+
+def gram_planes(parts: Tensor, loading: float) -> Tensor:
+    """K K^H + loading I of K (..., 2, N, N): Hermitian, no eigenvalue below ``loading``."""
+    real, imaginary = parts.unbind(-3)
+    identity = loading * torch.eye(real.shape[-1], device=real.device)
+    return torch.stack(
+        [
+            real @ real.mT + imaginary @ imaginary.mT + identity,
+            imaginary @ real.mT - real @ imaginary.mT,
+        ],
+        -3,
+    )
+
+
+def _unit_power(snapshots: Tensor) -> Tensor:
+    """Scaled to a mean |x|^2 of 1 in every band."""
+    power = (snapshots.real.square() + snapshots.imag.square()).mean((1, 3), keepdim=True)
+    return snapshots / power.clamp(min=1e-20).sqrt()

@@ -1,0 +1,149 @@
+"""MUSIC behind networks that estimate covariances, and the count of sources by eigenvalues."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from model_export.baselines.network import GRID_SIZE, MAX_SOURCES, BaselineNetwork
+from model_export.regression import counted_projector
+from model_export.subspace import delay_products, signal_power
+from model_export.tasks import STFT, steering_delays
+from service.doa.array import MicrophoneArray
+from service.doa.steering import azimuth_grid
+from service.doa.types import FloatArray
+
+LOG_FLOOR = -3.2
+"""Of MUSIC's denominator, about 0.04: the width of the peaks at the start"""
+
+
+def array_products(array: MicrophoneArray, azimuth: Tensor, frequencies: FloatArray) -> Tensor:
+    """``delay_products`` (B, F, N^2, A) of azimuths (B, A) in radians."""
+    delays = [steering_delays(array.positions, row) for row in azimuth.double().numpy()]
+    return delay_products(torch.from_numpy(np.stack(delays)), torch.from_numpy(frequencies).float())
+
+
+def music_spectrum(
+    projector: Tensor, array: MicrophoneArray, frequencies: FloatArray, floor: Tensor
+) -> Tensor:
+    """MUSIC spectra (B, F, 360) of signal projectors (B, F, N, N), with a maximum of 1."""
+    products = array_products(array, torch.from_numpy(azimuth_grid(GRID_SIZE))[None], frequencies)[
+        0
+    ]
+    # The scenes share a bin's steering vectors, hence bins first.
+    power = signal_power(projector.transpose(0, 1), products)  # (F, B, A)
+    spectrum = 1 / (1 - power.clamp(max=1) + floor)
+    return (spectrum / spectrum.amax(-1, keepdim=True)).transpose(0, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class MusicResult:
+    """What MUSIC makes of covariances in K bands."""
+
+    count: Tensor
+    """(B, MAX_SOURCES + 1) logits"""
+    projector: Tensor
+    """(B, K, N, N) complex, on the signal subspaces"""
+    covariance: Tensor
+    """(B, K, N, N) complex, as given"""
+    spectrum: Tensor
+    """(B, K, 360) in (0, 1]"""
+
+
+class Music(nn.Module):
+    """Covariances to MUSIC spectra, with the count by the eigenvalues where none is given."""
+
+    log_floor: Tensor
+
+    def __init__(
+        self, num_microphones: int, bins: Sequence[int], *, learned_floor: bool = True
+    ) -> None:
+        super().__init__()
+        self.frequencies = STFT.frequencies[list(bins)]
+        self.count = EigenvalueCount(num_microphones, len(bins))
+        floor = torch.tensor(LOG_FLOOR)
+        if learned_floor:
+            self.log_floor = nn.Parameter(floor)
+        else:
+            self.register_buffer("log_floor", floor)
+
+    def forward(
+        self, parts: Tensor, array: MicrophoneArray, counts: Tensor | None = None
+    ) -> MusicResult:
+        """``parts`` are real and imaginary parts (B, K, 2, N, N) of Hermitian matrices."""
+        covariance = torch.complex(parts[:, :, 0], parts[:, :, 1])
+        logits = self.count(covariance)
+        projector = counted_projector(covariance, logits.argmax(-1) if counts is None else counts)
+        floor = self.log_floor.exp()
+        spectrum = music_spectrum(projector, array, self.frequencies, floor)
+        return MusicResult(logits, projector, covariance, spectrum)
+
+
+class EigenvalueCount(nn.Module):
+    """The number of sources by all bands' eigenvalues: (B, K, N, N) to logits.
+
+    A classifier on eigenvalues, as DA-MUSIC and TransMUSIC have for an unknown number. Eigenvalues,
+    unlike eigenvectors, have derivatives that need no gaps.
+    """
+
+    def __init__(self, num_microphones: int, num_bands: int, hidden: int = 64) -> None:
+        super().__init__()
+        self.classifier = nn.Sequential(
+            nn.Linear(num_microphones * num_bands, hidden),
+            nn.ReLU(),
+            nn.Linear(hidden, MAX_SOURCES + 1),
+        )
+
+    def forward(self, covariance: Tensor) -> Tensor:
+        values = torch.linalg.eigvalsh(covariance)  # (B, K, N), ascending
+        relative = values / values.abs().amax(-1, keepdim=True).clamp(min=1e-12)
+        logits: Tensor = self.classifier(relative.flatten(1))
+        return logits
+
+
+class HybridNetwork(BaselineNetwork):
+    """A network that estimates the covariances of K bands, and MUSIC on them."""
+
+    steered = True
+
+    def __init__(self, covariance: nn.Module, music: Music) -> None:
+        super().__init__()
+        self.covariance = covariance
+        self.music = music
+
+    def music_of(
+        self, features: Tensor, array: MicrophoneArray, counts: Tensor | None = None
+    ) -> MusicResult:
+        """MUSIC on the covariances (B, K, 2, N, N) that features (B, ...) are mapped to."""
+        result: MusicResult = self.music(self.covariance(features), array, counts)
+        return result
+
+
+class PeakFinder(nn.Module):
+    """MUSIC spectra (B, 360) to angles: three hidden layers, as in DA-MUSIC, then M outputs.
+
+    As ``model_export.baselines.heads.DirectionHead``, it has outputs of its own for every count.
+    """
+
+    def __init__(self, hidden: int) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.Linear(GRID_SIZE, hidden),
+            nn.ReLU(),
+            nn.Linear(hidden, hidden),
+            nn.ReLU(),
+            nn.Linear(hidden, hidden),
+            nn.ReLU(),
+        )
+        self.directions = nn.ModuleList(
+            nn.Linear(hidden, count) for count in range(1, MAX_SOURCES + 1)
+        )
+
+    def forward(self, spectrum: Tensor) -> tuple[Tensor, ...]:
+        """For 1, 2, ... sources (B, M) radians."""
+        hidden = self.layers(spectrum)
+        return tuple(torch.pi * linear(hidden) for linear in self.directions)

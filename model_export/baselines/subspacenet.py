@@ -1,0 +1,152 @@
+"""SubspaceNet (Shmuel et al., TVT 2024): an autoencoder from autocorrelations to a covariance.
+
+The paper's network (section III) takes the autocorrelation tensor of several lags through
+convolutions with anti-rectifiers and deconvolutions to a matrix K, and K K^H + eps I, positive by
+construction, to a differentiable subspace method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from model_export.baselines.bands import (
+    CITED_BANDS,
+    MATCHED_BANDS,
+    band_bins,
+    band_snapshots,
+    gram_planes,
+    lagged_covariances,
+    matched_snapshots,
+    planes,
+)
+from model_export.baselines.method import Card
+from model_export.baselines.music import HybridNetwork, Music
+from model_export.baselines.network import COUNT_WEIGHT, Prediction, Truth, count_loss
+from service.doa.array import MicrophoneArray
+from service.doa.types import FloatArray
+
+CARD = Card(
+    "subspacenet",
+    "SubspaceNet",
+    "hybrid",
+    "Shmuel, Merkofer, Revach, van Sloun, Shlezinger, SubspaceNet (arXiv 2306.02271)",
+    "one network shared by ten bands from 300 to 3500 Hz; MUSIC on a grid, the mean of the bands'"
+    " bounded spectra, instead of Root-MUSIC, which circular arrays have not; a periodic squared"
+    " error in expectation over the spectrum around each source; the count by the eigenvalues",
+)
+LAGS = 8
+LOADING = 1.0
+"""eps"""
+SHARPNESS = 20.0
+"""Of the softmax over a MUSIC spectrum: a background at half the peak has no weight"""
+
+
+class AntiRectifier(nn.Module):
+    """[ReLU(x), ReLU(-x)]: twice the channels, nothing lost."""
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        return torch.cat([inputs.relu(), (-inputs).relu()], 1)
+
+
+class AutocorrelationNetwork(nn.Module):
+    """Autocorrelations (B, K, lags, 2, N, N) to covariances (B, K, 2, N, N), band by band."""
+
+    def __init__(self, num_microphones: int, width: float) -> None:
+        super().__init__()
+        self.num_microphones = num_microphones
+        first, second, third = (max(4, round(width * channels)) for channels in (16, 32, 64))
+        self.layers = nn.Sequential(
+            nn.Conv2d(LAGS, first, 2),
+            AntiRectifier(),
+            nn.Conv2d(2 * first, second, 2),
+            AntiRectifier(),
+            nn.Conv2d(2 * second, third, 2),
+            AntiRectifier(),
+            nn.ConvTranspose2d(2 * third, second, 2),
+            AntiRectifier(),
+            nn.ConvTranspose2d(2 * second, first, 2),
+            AntiRectifier(),
+            nn.ConvTranspose2d(2 * first, 1, 2),
+        )
+
+    def forward(self, autocorrelation: Tensor) -> Tensor:
+        size = self.num_microphones
+        images = autocorrelation.flatten(0, 1).flatten(2, 3)  # (B K, lags, 2 N, N)
+        # Three kernels of two need four columns.
+        images = F.pad(images, (0, max(0, 4 - size)))
+        root = self.layers(images)[:, 0, :, :size]  # (B K, 2 N, N)
+        root = root.unflatten(0, autocorrelation.shape[:2]).unflatten(-2, (2, size))
+        return gram_planes(root, LOADING)
+
+
+class SubspaceNetTrunk(nn.Module):
+    """The autoencoder on autocorrelations of the matched track's features."""
+
+    bins: Sequence[int] = band_bins(MATCHED_BANDS)
+
+    def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:
+        super().__init__()
+        self.covariance = AutocorrelationNetwork(num_microphones, width)
+
+    def forward(self, features: Tensor) -> Tensor:
+        with torch.autocast(features.device.type, enabled=False):
+            snapshots = matched_snapshots(features, self.bins)
+            covariance: Tensor = self.covariance(planes(lagged_covariances(snapshots, LAGS)))
+        return covariance
+
+
+class SubspaceNet(HybridNetwork):
+    """SubspaceNet as cited: autocorrelations in, a MUSIC spectrum out."""
+
+    card = CARD
+    bins: Sequence[int] = band_bins(CITED_BANDS)
+
+    def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:
+        super().__init__(
+            AutocorrelationNetwork(num_microphones, width), Music(num_microphones, self.bins)
+        )
+
+    def features(self, audio: FloatArray) -> FloatArray:
+        """(B, K, lags, 2, N, N)."""
+        snapshots = band_snapshots(audio, self.bins)
+        tensor: FloatArray = planes(lagged_covariances(snapshots, LAGS)).numpy()
+        return tensor
+
+    def forward(
+        self, features: Tensor, array: MicrophoneArray, counts: Tensor | None = None
+    ) -> Prediction:
+        result = self.music_of(features, array, counts)
+        return Prediction(
+            result.count, spectrum=result.spectrum.mean(1), projector=result.projector
+        )
+
+    def loss(self, prediction: Prediction, truth: Truth, array: MicrophoneArray) -> Tensor:
+        """RMSPE in expectation, and the count's cross entropy."""
+        assert prediction.spectrum is not None
+        error = expected_square(prediction.spectrum, truth)
+        return (error + 1e-9).sqrt() + COUNT_WEIGHT * count_loss(prediction, truth)
+
+
+def expected_square(spectrum: Tensor, truth: Truth) -> Tensor:
+    """Squared periodic error in radians squared of directions drawn from spectra (B, A).
+
+    Every angle belongs to the source that is nearest to it, which settles the permutation, and the
+    softmax within a source's angles is its direction's distribution. The error of that softmax's
+    mean in a narrow window, a soft argmax, would be unmoved by peaks elsewhere and zero for a flat
+    spectrum; the expectation of the error is neither.
+    """
+    grid = torch.arange(spectrum.shape[-1]) * (2 * torch.pi / spectrum.shape[-1])
+    gap = torch.remainder(grid - truth.azimuth[..., None] + torch.pi, 2 * torch.pi) - torch.pi
+    square = gap.square().masked_fill(~truth.mask[..., None], torch.inf)  # (B, M, A)
+    nearest, owner = square.min(1)  # (B, A)
+    sources = torch.arange(truth.mask.shape[1])[:, None]
+    owned = truth.mask[..., None] & (owner[:, None] == sources)
+    logits = (SHARPNESS * spectrum)[:, None].masked_fill(~owned, -torch.inf)
+    # Sources that do not exist own no angle; a softmax over none would be undefined.
+    logits = logits.masked_fill(~truth.mask[..., None], 0.0)
+    error = torch.where(owned, logits.softmax(-1) * nearest[:, None], 0.0).sum(-1)  # (B, M)
+    return error.sum() / truth.mask.sum().clamp(min=1)

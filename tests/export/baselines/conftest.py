@@ -1,0 +1,19 @@
+"""What the tests of learned methods share: seeded parameters and a handful of scenes."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from export.baselines.overfitting import talkers
+
+from model_export.simulate import SimulatedScene
+
+
+@pytest.fixture(autouse=True)
+def seeded() -> None:
+    torch.manual_seed(0)
+
+
+@pytest.fixture(scope="session")
+def scenes() -> list[SimulatedScene]:
+    return talkers()
