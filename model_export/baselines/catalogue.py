@@ -10,7 +10,6 @@ from model_export.baselines.baseline import LearnedBaseline
 from model_export.baselines.classical import classical_methods
 from model_export.baselines.hybrids import hybrid_methods
 from model_export.baselines.learned import learned_methods
-from model_export.baselines.matched import MatchedSpectrum, MatchedSubspace
 from model_export.baselines.method import Card, Method
 from model_export.baselines.network import BaselineNetwork
 from model_export.baselines.neuralmusic import CARD as NEURALMUSIC
@@ -78,10 +77,7 @@ def network(
     baseline = learned()[name]
     if track == "cited":
         return baseline.cited(num_microphones, width=baseline.cited_width if reduced else 1.0)
-    trunk = baseline.trunk(num_microphones, width=baseline.trunk_width if reduced else 1.0)
-    # Covariances name their bins, embeddings have a size.
-    matched = MatchedSubspace if hasattr(trunk, "bins") else MatchedSpectrum
-    return matched(trunk, num_microphones, baseline.card)
+    return baseline.matched(num_microphones, width=None if reduced else 1.0)
 
 
 def described() -> list[dict[str, Any]]:

@@ -26,7 +26,7 @@ from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 
 CARD = Card(
-    "da-music",
+    "da_music",
     "DA-MUSIC",
     "hybrid",
     "Merkofer, Revach, Shlezinger, Routtenberg, van Sloun, DA-MUSIC (arXiv 2109.10581)",

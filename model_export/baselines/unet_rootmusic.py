@@ -30,7 +30,7 @@ from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 
 CARD = Card(
-    "unet-rootmusic",
+    "unet_rootmusic",
     "UNet-rootMUSIC",
     "hybrid",
     "Nguyen, U-Net covariances for Root-MUSIC (AEU, 2024)",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from model_export.baselines.catalogue import cards, classical, learned
+from model_export.baselines.shipped import SHIPPED, shipped
 from model_export.experiments.study import Contender
 from model_export.experiments.training import Training
 
@@ -15,6 +16,11 @@ def classical_contenders(*, linear: bool = False) -> list[Contender]:
     """Classical methods that fit a planar array, or a line."""
     methods = classical().items()
     return [Contender(name) for name, method in methods if linear or not method.card.linear_only]
+
+
+def shipped_contenders() -> list[Contender]:
+    """The service's own bundles, trained as docs/training.md says and not for the comparison."""
+    return [Contender(name) for name in SHIPPED]
 
 
 def cited_contenders() -> list[Contender]:
@@ -34,7 +40,7 @@ def matched_contenders(**variant: object) -> list[Contender]:
 def title(label: str) -> str:
     """What tables call a contender."""
     name, _, rest = label.partition(", ")
-    known = cards()
+    known = {**cards(), **{name: bundle.card for name, bundle in shipped().items()}}
     base = known[name].title if name in known else name
     return f"{base}, {rest}" if rest else base
 

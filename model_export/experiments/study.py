@@ -7,7 +7,7 @@ import multiprocessing
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from model_export.baselines.catalogue import classical, network
 from model_export.baselines.method import Method
 from model_export.baselines.network import LearnedMethod
 from model_export.baselines.neuralmusic import CovarianceTrunk
+from model_export.baselines.shipped import shipped
 from model_export.datasets.speech import load, speech_commands
 from model_export.experiments.augmentation import white_noise
 from model_export.experiments.cells import Cell, recipes
@@ -41,7 +42,7 @@ SEED = 1
 
 @dataclass(frozen=True, slots=True)
 class Contender:
-    """A method in a table: a classical one by its name, or a training."""
+    """A method in a table: a classical one or a shipped bundle by its name, or a training."""
 
     label: str
     """The method's name in the catalogue, and its variant"""
@@ -51,6 +52,11 @@ class Contender:
     def key(self) -> str:
         """A name for files."""
         return self.training.key if self.training else self.label
+
+    @property
+    def counts(self) -> bool:
+        """Whether it estimates the number of sources itself."""
+        return self.label not in classical()
 
 
 Scores = dict[str, float]
@@ -118,7 +124,7 @@ class Study:
     def method(self, contender: Contender) -> Method:
         """The contender, ready to answer."""
         if contender.training is None:
-            return classical()[contender.label]
+            return {**classical(), **shipped()}[contender.label]
         fresh = _fresh(self, contender.training)
         state = torch.load(self.run(contender.training) / "checkpoint.pt", weights_only=True)
         fresh.load_state_dict(state["model"])
@@ -240,8 +246,3 @@ def heard(scenes: SceneSet, index: int, snr_db: float | None) -> FloatArray:
     if snr_db is None:
         return window
     return white_noise(np.random.default_rng([SEED, index]), window, snr_db)
-
-
-def describe_scale(scale: Scale) -> dict[str, Any]:
-    """What the tables say of a scale."""
-    return asdict(scale)

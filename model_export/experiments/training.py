@@ -192,10 +192,11 @@ def describe(run: Path, training: Training, budget: Budget) -> None:
     """
     described = {**asdict(training), **asdict(budget)}
     path = run / "training.json"
-    if path.exists() and json.loads(path.read_text()) != described:
+    if not path.exists():
+        run.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(described, indent=2) + "\n")
+    elif json.loads(path.read_text()) != described:
         raise ValueError(f"{run} holds another training: remove it or name another --runs folder")
-    run.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(described, indent=2) + "\n")
 
 
 def _batch(
