@@ -12,11 +12,16 @@ import numpy as np
 from model_export.arrays import named_array
 from model_export.baselines.network import MAX_SOURCES
 from model_export.datasets.speech import Split
+from model_export.methods import Methods
 from model_export.scenes import WINDOW_SAMPLES
 from model_export.simulate import Protocol, simulate_scene
 from model_export.workers import Inputs, Workers
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
+
+DESCRIPTION = "array.json"
+PART = 2400
+"""Scenes that are simulated before they are written"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +68,12 @@ class SceneSet:
     @classmethod
     def read(cls, folder: Path) -> SceneSet:
         """The set that ``write`` left."""
-        described = json.loads((folder / "array.json").read_text())
+        described = json.loads((folder / DESCRIPTION).read_text())
         array = MicrophoneArray(described["name"], np.array(described["positions_m"]))
-        return cls(
-            np.load(folder / "audio.npy", mmap_mode="r"), np.load(folder / "azimuth.npy"), array
-        )
+        azimuth = np.load(folder / "azimuth.npy")
+        shape = (len(azimuth), array.num_microphones, WINDOW_SAMPLES)
+        audio = np.memmap(folder / "audio.f16", np.float16, "r", shape=shape)
+        return cls(audio, azimuth, array)
 
     @classmethod
     def write(
@@ -75,39 +81,53 @@ class SceneSet:
     ) -> SceneSet:
         """Keep scenes, each with audio (N, T) and azimuths (M,), and read them again.
 
-        Longer windows are cut, shorter ones padded to ``WINDOW_SAMPLES``; further sources than
-        ``MAX_SOURCES`` are refused with ValueError.
+        Longer windows are cut, shorter ones padded to ``WINDOW_SAMPLES``.
+
+        Raises
+        ------
+        ValueError
+            If there is no scene, or one with more than ``MAX_SOURCES`` sources.
         """
-        audio, azimuth = [], []
-        for samples, sources in scenes:
-            if len(sources) > MAX_SOURCES:
-                raise ValueError(
-                    f"a window with {len(sources)} sources: the comparison has at most "
-                    f"{MAX_SOURCES}"
-                )
-            audio.append(_half_precision(samples))
-            azimuth.append(np.pad(sources, (0, MAX_SOURCES - len(sources)), constant_values=np.nan))
         folder.mkdir(parents=True, exist_ok=True)
-        np.save(folder / "audio.npy", np.stack(audio))
+        azimuth = []
+        with (folder / "audio.f16").open("wb") as file:
+            for samples, sources in scenes:
+                if len(sources) > MAX_SOURCES:
+                    raise ValueError(
+                        f"a window with {len(sources)} sources: the comparison has at most "
+                        f"{MAX_SOURCES}"
+                    )
+                _half_precision(samples).tofile(file)
+                missing = MAX_SOURCES - len(sources)
+                azimuth.append(np.pad(sources, (0, missing), constant_values=np.nan))
+        if not azimuth:
+            raise ValueError(f"{folder.name}: no scene has a known direction")
         np.save(folder / "azimuth.npy", np.stack(azimuth).astype(np.float32))
         # Last: its presence says that the set is whole.
-        (folder / "array.json").write_text(
+        (folder / DESCRIPTION).write_text(
             json.dumps({"name": array.name, "positions_m": array.positions.tolist()}) + "\n"
         )
         return cls.read(folder)
 
 
-def simulated(folder: Path, recipe: Recipe, speech: Sequence[FloatArray], workers: int) -> SceneSet:
-    """The recipe's scenes, simulated unless the folder holds them."""
-    if not (folder / "array.json").exists():
-        from model_export.methods import Methods
+def is_whole(folder: Path) -> bool:
+    """Whether a scene set was written to its end."""
+    return (folder / DESCRIPTION).exists()
 
-        with Workers(Inputs(Methods(()), speech, recipe.seed), workers) as pool:
-            scenes = pool.map(
-                _simulate, [(recipe, index) for index in range(recipe.count)], recipe.name
+
+def simulated(folder: Path, recipe: Recipe, speech: Sequence[FloatArray], workers: int) -> SceneSet:
+    """The recipe's scenes, simulated and written."""
+    with Workers(Inputs(Methods(()), speech, recipe.seed), workers) as pool:
+        parts = (
+            pool.map(
+                _simulate,
+                [(recipe, index) for index in range(first, min(first + PART, recipe.count))],
+                f"{recipe.name} from {first}" if recipe.count > PART else recipe.name,
             )
-        SceneSet.write(folder, scenes, named_array(recipe.protocols[0].array))
-    return SceneSet.read(folder)
+            for first in range(0, recipe.count, PART)
+        )
+        scenes = (scene for part in parts for scene in part)
+        return SceneSet.write(folder, scenes, named_array(recipe.protocols[0].array))
 
 
 def _simulate(inputs: Inputs, task: tuple[Recipe, int]) -> tuple[FloatArray, FloatArray]:

@@ -24,7 +24,7 @@ from model_export.datasets.speech import load, speech_commands
 from model_export.experiments.augmentation import white_noise
 from model_export.experiments.cells import Cell, recipes
 from model_export.experiments.scale import SCALES, Scale
-from model_export.experiments.scene_set import SceneSet, simulated
+from model_export.experiments.scene_set import SceneSet, is_whole, simulated
 from model_export.experiments.training import (
     TUNING_RATE,
     Budget,
@@ -86,7 +86,7 @@ class Study:
         known = recipes(self.scale)
         for name in dict.fromkeys(names):
             recipe, folder = known[name], self.folder / "scenes" / name
-            if not (folder / "array.json").exists():
+            if not is_whole(folder):
                 speech = load(speech_commands(self.speech, recipe.split))
                 simulated(folder, recipe, speech, self.workers)
 

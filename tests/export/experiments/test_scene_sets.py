@@ -9,7 +9,7 @@ import pytest
 
 from model_export.arrays import named_array
 from model_export.experiments.augmentation import symmetries, white_noise
-from model_export.experiments.scene_set import Recipe, SceneSet, simulated
+from model_export.experiments.scene_set import Recipe, SceneSet, is_whole, simulated
 from model_export.scenes import WINDOW_SAMPLES
 from model_export.simulate import Protocol, simulate_scene
 from model_export.synthesis import synthetic_voice
@@ -25,13 +25,11 @@ def voices() -> list[np.ndarray]:
     return [synthetic_voice(rng, 1.0) for _ in range(4)]
 
 
-def test_a_set_is_simulated_once_and_reads_the_same(tmp_path: Path, voices) -> None:
+def test_a_set_reads_as_it_was_simulated(tmp_path: Path, voices) -> None:
     protocols = (Protocol(), Protocol(num_sources=2))
     recipe = Recipe("two kinds", protocols, "train", 4, 5)
     first = simulated(tmp_path / "set", recipe, voices, workers=1)
-    again = simulated(
-        tmp_path / "set", recipe, [], workers=1
-    )  # no speech: nothing to simulate with
+    again = SceneSet.read(tmp_path / "set")
     assert len(again) == 4
     assert [len(again.sources(index)) for index in range(4)] == [1, 2, 1, 2]
     np.testing.assert_array_equal(first.audio, again.audio)
@@ -88,3 +86,20 @@ def test_white_noise_has_the_ratio_asked_for() -> None:
 def test_too_many_sources_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="at most 3"):
         SceneSet.write(tmp_path, [(np.zeros((4, 8)), np.arange(4.0))], SQUARE)
+
+
+def test_an_interrupted_set_is_not_whole(tmp_path: Path) -> None:
+    def scenes():
+        yield np.zeros((4, 8)), np.zeros(1)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        SceneSet.write(tmp_path, scenes(), SQUARE)
+    assert not is_whole(tmp_path)
+    SceneSet.write(tmp_path, [(np.zeros((4, 8)), np.zeros(1))], SQUARE)
+    assert is_whole(tmp_path)
+
+
+def test_a_set_without_scenes_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no scene has a known direction"):
+        SceneSet.write(tmp_path, [], SQUARE)
