@@ -62,7 +62,7 @@ def check_audio(path: Path, channels: int, sample_rate: int | None = None) -> fl
         raise DatasetError(
             "sample_rate",
             path,
-            f"has {rate} Hz, the data set {sample_rate} Hz: somebody resampled it, {REMEDY}",
+            f"has {rate} Hz, expected {sample_rate} Hz: somebody resampled it, {REMEDY}",
         )
     return duration
 
@@ -72,6 +72,6 @@ def _check_channels(path: Path, recording: Recording, channels: int) -> None:
         raise DatasetError(
             "channels",
             path,
-            f"channels: {recording.channels} in the file, {channels} in the data set; a conversion "
-            f"may have mixed or dropped some, {REMEDY}",
+            f"has {recording.channels} channel{'s' if recording.channels > 1 else ''}, expected "
+            f"{channels}: a conversion may have mixed or dropped some, {REMEDY}",
         )

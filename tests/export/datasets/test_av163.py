@@ -164,7 +164,7 @@ def test_faults_are_found_and_named(
         ("missing", "seq08-1p-0100_array2_mic5.wav"): (
             "is missing: unpack or download the file again"
         ),
-        ("channels", "seq08-1p-0100_array1_mic2.wav"): "channels: 2 in the file",
+        ("channels", "seq08-1p-0100_array1_mic2.wav"): "has 2 channels",
         ("sample_rate", "seq08-1p-0100_array1_mic3.wav"): "has 8000 Hz",
         ("annotation", mouth.name): "line 31 column 4 is 'oops'",
     }

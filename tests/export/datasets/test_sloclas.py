@@ -101,7 +101,7 @@ def test_faults_are_found_and_named(
         ("audio", "segment_003.wav"),
     }
     assert found["missing", "class1"].startswith("has sounds from 1 of 72 directions")
-    assert found["channels", "segment_001.wav"].startswith("channels: 2 in the file, 4")
+    assert found["channels", "segment_001.wav"].startswith("has 2 channels, expected 4: ")
     shutil.rmtree(folder)
     with pytest.raises(DatasetError, match="class1_400: the folder's name tells no direction"):
         list(SLoClas(tmp_path).items("test"))
