@@ -18,7 +18,7 @@ ROTATION = tuple(f"rotation_{row}{column}" for row in (1, 2, 3) for column in (1
 FRONT = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """From LOCATA's axes (x right, y front) to ours (x front, y left)"""
 MAX_TIME_DIFFERENCE = 0.05
-"""Seconds between a row of the array and the source's row that goes with it: six of the tracker"""
+"""Seconds between a row of the array and the source's that goes with it: six tracker frames"""
 ORTHOGONAL = 1e-3
 
 

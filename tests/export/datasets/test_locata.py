@@ -154,6 +154,18 @@ def test_invalid_rows_and_silence_are_unknown(tmp_path: Path, add_recording: Add
     assert item.metadata["sources"] == ["loudspeaker1", "loudspeaker3"]
 
 
+def test_a_source_that_the_tracker_finds_late_is_unknown_before(
+    tmp_path: Path, add_recording: AddRecording
+) -> None:
+    folder = add_recording(AHEAD)
+    path = folder / "position_source_loudspeaker1.txt"
+    header, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([header, *rows[48:]]) + "\n")  # from 0.396 s
+    (item,) = LOCATA(tmp_path, "benchmark2").items("dev")
+    known = np.isfinite(item.directions.at(np.array([0.1, 0.3, 0.5, 1.1]))[:, 0])
+    assert known.tolist() == [False, False, True, True]
+
+
 def test_microphones_of_the_wide_array_too_far_out_are_left_out(
     tmp_path: Path, add_recording: AddRecording
 ) -> None:
