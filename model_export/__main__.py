@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from model_export.config import CONFIGS, TrainingConfig, smoke
+from model_export.datasets.command import add_datasets
 from model_export.datasets.noise import noise_recordings
 from model_export.datasets.speech import Split, librispeech, load, speech_commands
 from model_export.experiments.command import add_commands
@@ -38,11 +39,11 @@ def main(argv: list[str] | None = None) -> int:
     arguments = _parser().parse_args(argv)
     torch.set_num_threads(arguments.threads)
     try:
-        arguments.run_command(arguments)
+        status = arguments.run_command(arguments)
     except (FileNotFoundError, ValueError, DoaError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    return 0
+    return status or 0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -119,6 +120,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_finetune(commands)
     _add_own_room(commands)
     add_commands(commands)
+    add_datasets(commands)
 
     sample = commands.add_parser("sample", help="write the sample recording of the README")
     sample.add_argument("--out", type=Path, required=True)

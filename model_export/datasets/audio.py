@@ -1,0 +1,77 @@
+"""Audio files of data sets, decoded and resampled as the service does it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from model_export import SAMPLE_RATE
+from model_export.datasets.finding import DatasetError, require
+from service.audio import Recording
+from service.doa.types import FloatArray
+from service.errors import DoaError
+
+REMEDY = "unpack or download the file again"
+
+
+def read_audio(path: Path, channels: int, take: Sequence[int] | None = None) -> FloatArray:
+    """All samples at 16 kHz, whatever the file's rate.
+
+    Parameters
+    ----------
+    channels : int
+        How many the file must have.
+    take : sequence of int, optional
+        Channels wanted, from 0; by default all.
+
+    Returns
+    -------
+    audio : (N, T) float32
+
+    Raises
+    ------
+    DatasetError
+        If the file is missing, cannot be decoded or has another number of channels.
+    """
+    require(path, REMEDY)
+    try:
+        with Recording.open(path) as recording:
+            _check_channels(path, recording, channels)
+            blocks = recording.blocks(take or range(channels), SAMPLE_RATE)
+            return np.concatenate(list(blocks), axis=1)
+    except DoaError as error:
+        raise DatasetError("audio", path, error.detail) from error
+
+
+def check_audio(path: Path, channels: int, sample_rate: int | None = None) -> float:
+    """Seconds of audio by the header, or DatasetError unless it promises such audio.
+
+    The file must be as long as it says, but no sample is decoded. Without ``sample_rate`` any is
+    right.
+    """
+    require(path, REMEDY)
+    try:
+        with Recording.open(path) as recording:
+            _check_channels(path, recording, channels)
+            rate, duration = recording.sample_rate, recording.duration
+    except DoaError as error:
+        raise DatasetError("audio", path, error.detail) from error
+    if sample_rate not in (None, rate):
+        raise DatasetError(
+            "sample_rate",
+            path,
+            f"has {rate} Hz, expected {sample_rate} Hz: somebody resampled it, {REMEDY}",
+        )
+    return duration
+
+
+def _check_channels(path: Path, recording: Recording, channels: int) -> None:
+    if recording.channels != channels:
+        raise DatasetError(
+            "channels",
+            path,
+            f"has {recording.channels} channel{'s' if recording.channels > 1 else ''}, expected "
+            f"{channels}: a conversion may have mixed or dropped some, {REMEDY}",
+        )

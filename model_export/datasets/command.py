@@ -1,0 +1,133 @@
+"""``python -m model_export datasets list|verify``: where data sets are, whether one is whole."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from model_export.datasets.afpild import AFPILD
+from model_export.datasets.av163 import AV163
+from model_export.datasets.finding import Count, Finding
+from model_export.datasets.item import Dataset
+from model_export.datasets.locata import LOCATA
+from model_export.datasets.sloclas import SLoClas
+from model_export.datasets.speech_commands_rooms import SpeechCommandsRooms
+
+DATASETS: Mapping[str, type[Dataset]] = MappingProxyType(
+    {dataset.name: dataset for dataset in (SpeechCommandsRooms, AV163, SLoClas, AFPILD, LOCATA)}
+)
+SHOWN = 10
+"""Findings of one kind that are printed; all are in the JSON"""
+
+
+def add_datasets(commands: Any) -> None:
+    """Add ``datasets`` to the subparsers of the command line."""
+    datasets = commands.add_parser("datasets", help="what data sets there are, check a download")
+    actions = datasets.add_subparsers(required=True, metavar="ACTION")
+    listing = actions.add_parser("list", help="names, licences, where to get them, layouts")
+    listing.set_defaults(run_command=_list)
+    check = actions.add_parser(
+        "verify",
+        help="is a download complete? exit status 0 yes, 1 no, 2 not recognised",
+    )
+    check.add_argument("folder", type=Path, metavar="DIR")
+    check.add_argument("--dataset", choices=tuple(DATASETS), help="default: by what DIR holds")
+    check.set_defaults(run_command=_verify)
+    for action in (listing, check):
+        action.add_argument("--json", action="store_true", help="print JSON")
+
+
+def recognise(folder: Path) -> type[Dataset]:
+    """The data set that a folder holds, complete or not.
+
+    Raises
+    ------
+    ValueError
+        If it looks like none of them or like several.
+    """
+    found = [dataset for dataset in DATASETS.values() if dataset.recognises(folder)]
+    if len(found) == 1:
+        return found[0]
+    looks = f"like {' and '.join(dataset.name for dataset in found)}" if found else "like none"
+    raise ValueError(
+        f"{folder} looks {looks} of {', '.join(DATASETS)}: name the folder that the download "
+        "unpacked to, or --dataset; datasets list shows the layouts"
+    )
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    facts = [_facts(dataset) for dataset in DATASETS.values()]
+    if arguments.json:
+        print(json.dumps(facts, indent=2))
+        return 0
+    for fact in facts:
+        print(fact["name"])
+        for key in ("licence", "source", "layout"):
+            print(f"  {key:8} {fact[key]}")
+        print(f"  splits   {', '.join(fact['splits'])}\n")
+    return 0
+
+
+def _facts(dataset: type[Dataset]) -> dict[str, Any]:
+    return {
+        "name": dataset.name,
+        "licence": dataset.licence,
+        "source": dataset.source,
+        "layout": dataset.layout,
+        "splits": list(dataset.splits),
+    }
+
+
+def _verify(arguments: argparse.Namespace) -> int:
+    folder = arguments.folder
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{folder} is no folder: name the one that a download unpacked to")
+    dataset = DATASETS[arguments.dataset] if arguments.dataset else recognise(folder)
+    counts, findings = dataset.counts(folder), dataset.verify(folder)
+    if arguments.json:
+        print(json.dumps(_report(dataset, counts, findings), indent=2))
+    else:
+        _print(dataset, folder, counts, findings)
+    return 1 if findings else 0
+
+
+def _report(
+    dataset: type[Dataset], counts: Sequence[Count], findings: Sequence[Finding]
+) -> dict[str, Any]:
+    return {
+        "dataset": dataset.name,
+        "complete": not findings,
+        "counts": [
+            {"what": count.what, "found": count.found, "published": list(count.published)}
+            for count in counts
+        ],
+        "findings": [
+            {"code": finding.code, "path": str(finding.path), "detail": finding.detail}
+            for finding in findings
+        ],
+    }
+
+
+def _print(
+    dataset: type[Dataset], folder: Path, counts: Sequence[Count], findings: Sequence[Finding]
+) -> None:
+    print(f"{dataset.name} in {folder}")
+    for count in counts:
+        print(f"  {count}")
+    totals = Counter(finding.code for finding in findings)
+    for code, total in totals.items():
+        print(f"{code}: {total}")
+        for finding in [finding for finding in findings if finding.code == code][:SHOWN]:
+            print(f"  {_relative(finding.path, folder)}: {finding.detail}")
+        if total > SHOWN:
+            print(f"  and {total - SHOWN} more, see --json")
+    print("incomplete" if findings else "complete")
+
+
+def _relative(path: Path, folder: Path) -> Path:
+    return path.relative_to(folder) if path.is_relative_to(folder) else path

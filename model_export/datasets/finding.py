@@ -1,0 +1,83 @@
+"""What is wrong with a data set on disk: found by ``verify``, raised by the loaders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+FindingCode = Literal["missing", "count", "audio", "channels", "sample_rate", "annotation"]
+"""A file or folder is not there; fewer or more files than published; audio that cannot be decoded;
+another number of channels, another rate; an annotation that is empty, malformed or impossible"""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One fault, in the file or folder that has it."""
+
+    code: FindingCode
+    path: Path
+    detail: str
+    """What is wrong and what to do"""
+
+    def __str__(self) -> str:
+        return f"{self.path}: {self.detail}"
+
+
+class DatasetError(ValueError):
+    """A data set that cannot be read, with the finding that says why."""
+
+    def __init__(self, code: FindingCode, path: Path, detail: str) -> None:
+        self.finding = Finding(code, path, detail)
+        super().__init__(str(self.finding))
+
+
+@dataclass(frozen=True, slots=True)
+class Count:
+    """How many there are of something that the data set's authors have counted."""
+
+    what: str
+    found: int
+    published: tuple[int, ...]
+    """What a whole download has: several numbers where there are several versions, none where
+    nobody has written it down"""
+    exact: bool = True
+    """False where the published number is rounded, or counted in a way that is not written down"""
+
+    @property
+    def complete(self) -> bool:
+        return not self.exact or not self.published or self.found in self.published
+
+    def __str__(self) -> str:
+        if not self.published:
+            return f"{self.found:,} {self.what}"
+        expected = " or ".join(f"{number:,}" for number in self.published)
+        return f"{self.found:,} {self.what}, published {'' if self.exact else 'about '}{expected}"
+
+
+def collect(checks: Iterable[Callable[[], object]]) -> list[Finding]:
+    """Run every check and gather the findings of those that raise DatasetError."""
+    findings = []
+    for check in checks:
+        try:
+            check()
+        except DatasetError as error:
+            findings.append(error.finding)
+    return findings
+
+
+def miscounts(folder: Path, counts: Iterable[Count]) -> list[Finding]:
+    """A finding for every count that is not a published one."""
+    return [
+        Finding("count", folder, f"{count}: unpack the whole download, or know that you use a part")
+        for count in counts
+        if not count.complete
+    ]
+
+
+def require(path: Path, remedy: str) -> Path:
+    """The path, or DatasetError where nothing is there."""
+    if not path.exists():
+        raise DatasetError("missing", path, f"is missing: {remedy}")
+    return path
