@@ -30,6 +30,7 @@ from model_export.masking import draw_mask, masked_features
 from model_export.networks import LATENT, Encoder
 from model_export.scenes import Scene
 from model_export.tasks import STFT, Batch, Task
+from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.types import BoolArray, FloatArray
 
@@ -80,15 +81,22 @@ class SsclPipeline(nn.Module):
 
 
 class SsclTask:
-    """Reconstruct a random microphone in masked cells of one array's scenes."""
+    """Reconstruct a random microphone in masked cells of one array's scenes.
 
-    def __init__(self, config: TrainingConfig) -> None:
+    Parameters
+    ----------
+    config : TrainingConfig
+    array : MicrophoneArray, optional
+        In the place of the configuration's preset.
+    """
+
+    def __init__(self, config: TrainingConfig, array: MicrophoneArray | None = None) -> None:
         if config.array is None:
             raise ValueError("the sscl variant is bound to one array: name its preset")
         if config.phase_reference != "first":
             raise ValueError("the sscl variant masks features of phase_reference 'first' only")
         self.config = config
-        self.array = preset(config.array)
+        self.array = array or preset(config.array)
         self.model = SsclPipeline(self.array.num_microphones)
 
     def start_from(self, start: Task) -> None:

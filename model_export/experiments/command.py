@@ -7,9 +7,16 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from model_export.experiments.finding import Finding
+from model_export.experiments.report import FOLDER, keep, renew, section
 from model_export.experiments.scale import SCALES
+
+if TYPE_CHECKING:
+    from model_export.experiments.study import Study
+
+RECORDINGS = ("av163", "av163-both", "sloclas", "afpild", "locata")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,17 +73,27 @@ def add_commands(commands: Any) -> None:
         metavar="NAME",
         help=f"{', '.join(NAMES)} or all",
     )
-    run.add_argument("--scale", choices=sorted(SCALES), default="small")
     run.add_argument("--speech-commands", type=Path, required=True, help="corpus folder")
-    run.add_argument(
+    _add_where(run)
+    run.set_defaults(run_command=_run)
+
+    real = commands.add_parser("recordings", help="the paper's comparison on a downloaded data set")
+    real.add_argument("dataset", choices=RECORDINGS, metavar="DATASET", help=", ".join(RECORDINGS))
+    real.add_argument("folder", type=Path, help="where it was unpacked (docs/datasets.md)")
+    _add_where(real)
+    real.set_defaults(run_command=_recordings, speech_commands=Path())
+
+
+def _add_where(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--scale", choices=sorted(SCALES), default="small")
+    parser.add_argument(
         "--runs",
         type=Path,
         default=Path("runs/experiments"),
         help="folder of scenes, trainings and scores; what is there is not done again",
     )
-    run.add_argument("--out", type=Path, help="docs folder to renew (default: only print)")
-    run.add_argument("--workers", type=int, default=1, help="processes")
-    run.set_defaults(run_command=_run)
+    parser.add_argument("--out", type=Path, help="docs folder to renew (default: only print)")
+    parser.add_argument("--workers", type=int, default=1, help="processes")
 
 
 def _methods(arguments: argparse.Namespace) -> None:
@@ -92,22 +109,43 @@ def _methods(arguments: argparse.Namespace) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from model_export.experiments.report import FOLDER, keep, renew, section
+    study = _study(arguments)
+    figures = (arguments.out or study.folder) / FOLDER
+    known = experiments()
+    for name in list(NAMES) if "all" in arguments.names else arguments.names:
+        command = f"experiments {name} --speech-commands SPEECH_COMMANDS"
+        _tell(arguments, study, name, known[name].title, command, known[name].run(study, figures))
+
+
+def _recordings(arguments: argparse.Namespace) -> None:
+    from model_export.experiments.recordings import TASKS, recordings
+
+    study = _study(arguments)
+    finding = recordings(study, arguments.dataset, arguments.folder)
+    title = f"Recordings: {TASKS[arguments.dataset].title}"
+    command = f"recordings {arguments.dataset} DIR"
+    _tell(arguments, study, arguments.dataset, title, command, finding)
+
+
+def _study(arguments: argparse.Namespace) -> Study:
     from model_export.experiments.study import Study
 
     folder = arguments.runs / arguments.scale
-    study = Study(folder, arguments.scale, arguments.speech_commands, arguments.workers)
-    known = experiments()
-    names = list(NAMES) if "all" in arguments.names else arguments.names
-    figures = (arguments.out or folder) / FOLDER
-    for name in names:
-        finding = known[name].run(study, figures)
-        print(f"\n### {known[name].title}\n\n{finding.markdown()}\n")
-        if arguments.out:
-            command = (
-                f"python -m model_export experiments {name} --scale {arguments.scale} "
-                "--speech-commands SPEECH_COMMANDS --out docs"
-            )
-            keep(arguments.out, name, known[name].title, command, arguments.scale, finding)
-            text = section(arguments.out, list(NAMES), asdict(study.scale))
-            renew(arguments.out / "results.md", text)
+    return Study(folder, arguments.scale, arguments.speech_commands, arguments.workers)
+
+
+def _tell(
+    arguments: argparse.Namespace,
+    study: Study,
+    name: str,
+    title: str,
+    command: str,
+    finding: Finding,
+) -> None:
+    """Print a finding, and renew the documents where there is a folder for them."""
+    print(f"\n### {title}\n\n{finding.markdown()}\n")
+    if arguments.out:
+        whole = f"python -m model_export {command} --scale {arguments.scale} --out docs"
+        keep(arguments.out, name, title, whole, arguments.scale, finding)
+        order = [*NAMES, *RECORDINGS]
+        renew(arguments.out / "results.md", section(arguments.out, order, asdict(study.scale)))

@@ -109,7 +109,7 @@ def pretrain(
     scenes: SceneSet, budget: Budget, run: Path, seed: int, progress: Progress
 ) -> tuple[nn.Module, list[dict[str, float]]]:
     """The self-supervised stage on a scene set without its labels: the task's model, its curve."""
-    task = SsclTask(PAPER_SSCL)
+    task = SsclTask(PAPER_SSCL, scenes.array)
     per_epoch = max(1, len(scenes) // budget.batch_size)
     fitting = _Fitting(
         task.model, PAPER_SSCL.learning_rate * budget.rate, budget.epochs * per_epoch, run
