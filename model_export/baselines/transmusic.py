@@ -36,7 +36,7 @@ CARD = Card(
     " token; covariances K K^H + eps I, the projector's gradient; the mean of the bands' spectra,"
     " bounded; one set of angles per count; depth and sizes are ours",
 )
-DEPTH = 4
+DEPTH = 2
 HEADS = 8
 LOADING = 1e-3
 """eps, against entries of K that training sets"""
@@ -65,8 +65,8 @@ class SnapshotTransformer(nn.Module):
 
     def forward(self, snapshots: Tensor) -> Tensor:
         tokens = snapshots.permute(0, 3, 1, 2, 4).flatten(2)  # (B, L, N K 2)
-        encoded = self.normalise(self.layers(self.embedding(tokens))).mean(1)
-        return gram_planes(self.root(encoded).unflatten(-1, self.shape), LOADING)
+        encoded = self.layers(self.embedding(tokens)).mean(1)
+        return gram_planes(self.root(self.normalise(encoded)).unflatten(-1, self.shape), LOADING)
 
 
 class TransMusicTrunk(nn.Module):
@@ -90,7 +90,7 @@ class TransMusic(HybridNetwork):
     """TransMUSIC as cited: snapshots in, directions out."""
 
     card = CARD
-    learning_rate = 5e-4
+    learning_rate = 1e-3
     bins: Sequence[int] = band_bins(CITED_BANDS)
 
     def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:

@@ -96,7 +96,7 @@ class UNetRootMusicTrunk(nn.Module):
 
 
 class UNetRootMusic(HybridNetwork):
-    """UNet-rootMUSIC as cited: trained on covariances alone, MUSIC comes after training."""
+    """UNet-rootMUSIC as cited: trained on covariances; MUSIC comes after training."""
 
     card = CARD
     bins: Sequence[int] = band_bins(CITED_BANDS)
