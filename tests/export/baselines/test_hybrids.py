@@ -12,7 +12,8 @@ from model_export.baselines.bands import planes
 from model_export.baselines.hybrids import hybrid_methods
 from model_export.baselines.matched import MatchedSubspace
 from model_export.baselines.music import HybridNetwork
-from model_export.baselines.network import MAX_SOURCES, BaselineNetwork, decoded
+from model_export.baselines.network import MAX_SOURCES, BaselineNetwork, Truth, decoded
+from model_export.simulate import SimulatedScene
 from model_export.tasks import STFT
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
@@ -32,6 +33,11 @@ SIX = MicrophoneArray(
     np.array([[0.05 * np.cos(a), 0.05 * np.sin(a), 0.0] for a in np.arange(6) * np.pi / 3]),
 )
 ARRAYS = {4: preset("respeaker-usb-4mic-v2"), 6: SIX}
+
+
+@pytest.fixture(scope="module")
+def one_to_three() -> list[SimulatedScene]:
+    return talkers((1, 2, 3))
 
 
 def network_of(name: str, track: str, microphones: int = 4) -> BaselineNetwork:
@@ -101,8 +107,26 @@ def test_covariances_are_hermitian_and_positive_where_the_method_says_so(
 
 @pytest.mark.parametrize("track", TRACKS)
 @pytest.mark.parametrize("name", NAMES)
-def test_every_parameter_has_a_finite_gradient(name: str, track: str) -> None:
-    assert untrained_parameters(network_of(name, track), talkers((1, 2, 3))) == []
+def test_every_parameter_has_a_finite_gradient(
+    name: str, track: str, one_to_three: list[SimulatedScene]
+) -> None:
+    assert untrained_parameters(network_of(name, track), one_to_three) == []
+
+
+@pytest.mark.parametrize("track", TRACKS)
+@pytest.mark.parametrize("name", NAMES)
+def test_silence_without_sources_has_a_finite_loss_and_gradients(name: str, track: str) -> None:
+    network = network_of(name, track).train()
+    silence = np.zeros((3, 4, STFT.num_samples(64)), dtype=np.float32)
+    features = torch.from_numpy(network.features(silence))
+    truth = Truth(torch.zeros(3, MAX_SOURCES), torch.zeros(3, MAX_SOURCES, dtype=torch.bool))
+    prediction = network(features, ARRAYS[4], truth.count)
+    loss = network.loss(prediction, truth, ARRAYS[4])
+    loss.backward()
+    assert loss.isfinite()
+    gradients = [p.grad for p in network.parameters() if p.grad is not None]
+    assert any(gradient.any() for gradient in gradients)
+    assert all(gradient.isfinite().all() for gradient in gradients)
 
 
 @pytest.mark.parametrize("track", TRACKS)
