@@ -9,7 +9,7 @@ from model_export.baselines.network import GRID_SIZE, MAX_SOURCES, Prediction
 
 
 def spectrum_layer(inputs: int, grid_size: int = GRID_SIZE) -> nn.Linear:
-    """Embedding (B, D) to a spectrum's logits (B, A)."""
+    """Embedding (B, D) to what a sigmoid makes a spectrum of."""
     layer = nn.Linear(inputs, grid_size)
     # Targets are all but zero nearly everywhere.
     nn.init.constant_(layer.bias, -2.0)
