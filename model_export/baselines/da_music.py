@@ -21,7 +21,7 @@ from model_export.baselines.bands import (
 )
 from model_export.baselines.method import Card
 from model_export.baselines.music import HybridNetwork, Music, PeakFinder
-from model_export.baselines.network import Prediction
+from model_export.baselines.network import Prediction, scaled
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 
@@ -43,7 +43,7 @@ class SnapshotGru(nn.Module):
         super().__init__()
         self.shape = (num_bands, 2, num_microphones, num_microphones)
         inputs = 2 * num_microphones * num_bands
-        hidden = max(8, round(width * inputs))
+        hidden = scaled(inputs, width)
         self.normalise = nn.BatchNorm1d(inputs)
         self.recurrence = nn.GRU(inputs, hidden, batch_first=True)
         self.matrix = nn.Linear(hidden, num_bands * 2 * num_microphones**2)
@@ -82,7 +82,7 @@ class DaMusic(HybridNetwork):
         super().__init__(
             SnapshotGru(num_microphones, bands, width), Music(num_microphones, self.bins)
         )
-        self.peaks = PeakFinder(max(16, round(width * 2 * num_microphones * bands)))
+        self.peaks = PeakFinder(scaled(2 * num_microphones * bands, width))
 
     def features(self, audio: FloatArray) -> FloatArray:
         """(B, N, K, 64, 2) real and imaginary parts."""

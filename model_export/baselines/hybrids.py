@@ -12,23 +12,26 @@ def hybrid_methods() -> Mapping[str, LearnedBaseline]:
     """Both tracks of every method whose features or outputs are covariances."""
     baselines = (
         LearnedBaseline(
-            deepmusic.CARD,
-            deepmusic.DeepMusic,
-            deepmusic.DeepMusicTrunk,
-            cited_width=0.125,
-            trunk_width=0.25,
-        ),
-        LearnedBaseline(da_music.CARD, da_music.DaMusic, da_music.DaMusicTrunk),
-        LearnedBaseline(subspacenet.CARD, subspacenet.SubspaceNet, subspacenet.SubspaceNetTrunk),
-        LearnedBaseline(
-            unet_rootmusic.CARD, unet_rootmusic.UNetRootMusic, unet_rootmusic.UNetRootMusicTrunk
-        ),
-        LearnedBaseline(
-            transmusic.CARD,
-            transmusic.TransMusic,
-            transmusic.TransMusicTrunk,
+            card=deepmusic.CARD,
+            cited=deepmusic.DeepMusic,
+            trunk=deepmusic.DeepMusicTrunk,
             cited_width=0.5,
-            trunk_width=0.5,
+        ),
+        LearnedBaseline(card=da_music.CARD, cited=da_music.DaMusic, trunk=da_music.DaMusicTrunk),
+        LearnedBaseline(
+            card=subspacenet.CARD,
+            cited=subspacenet.SubspaceNet,
+            trunk=subspacenet.SubspaceNetTrunk,
+        ),
+        LearnedBaseline(
+            card=unet_rootmusic.CARD,
+            cited=unet_rootmusic.UNetRootMusic,
+            trunk=unet_rootmusic.UNetRootMusicTrunk,
+        ),
+        LearnedBaseline(
+            card=transmusic.CARD,
+            cited=transmusic.TransMusic,
+            trunk=transmusic.TransMusicTrunk,
         ),
     )
     return {baseline.card.name: baseline for baseline in baselines}

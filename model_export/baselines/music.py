@@ -93,6 +93,7 @@ class EigenvalueCount(nn.Module):
     def __init__(self, num_microphones: int, num_bands: int, hidden: int = 64) -> None:
         super().__init__()
         self.classifier = nn.Sequential(
+            nn.BatchNorm1d(num_microphones * num_bands),
             nn.Linear(num_microphones * num_bands, hidden),
             nn.ReLU(),
             nn.Linear(hidden, MAX_SOURCES + 1),

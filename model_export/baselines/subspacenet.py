@@ -25,7 +25,7 @@ from model_export.baselines.bands import (
 )
 from model_export.baselines.method import Card
 from model_export.baselines.music import HybridNetwork, Music
-from model_export.baselines.network import COUNT_WEIGHT, Prediction, Truth, count_loss
+from model_export.baselines.network import COUNT_WEIGHT, Prediction, Truth, count_loss, scaled
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 
@@ -58,7 +58,7 @@ class AutocorrelationNetwork(nn.Module):
     def __init__(self, num_microphones: int, width: float) -> None:
         super().__init__()
         self.num_microphones = num_microphones
-        first, second, third = (max(4, round(width * channels)) for channels in (16, 32, 64))
+        first, second, third = (scaled(channels, width) for channels in (16, 32, 64))
         self.layers = nn.Sequential(
             nn.Conv2d(LAGS, first, 2),
             AntiRectifier(),

@@ -23,7 +23,7 @@ from model_export.baselines.bands import (
 )
 from model_export.baselines.method import Card
 from model_export.baselines.music import HybridNetwork, Music, PeakFinder
-from model_export.baselines.network import Prediction
+from model_export.baselines.network import Prediction, scaled
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 
@@ -36,8 +36,9 @@ CARD = Card(
     " token; covariances K K^H + eps I, the projector's gradient; the mean of the bands' spectra,"
     " bounded; one set of angles per count; depth and sizes are ours",
 )
-DEPTH = 4
+DEPTH = 2
 HEADS = 8
+SIZE = 256
 LOADING = 1e-3
 """eps, against entries of K that training sets"""
 
@@ -48,7 +49,7 @@ class SnapshotTransformer(nn.Module):
     def __init__(self, num_microphones: int, num_bands: int, width: float) -> None:
         super().__init__()
         self.shape = (num_bands, 2, num_microphones, num_microphones)
-        size = HEADS * max(1, round(256 * width / HEADS))
+        size = HEADS * max(1, round(SIZE * width / HEADS))
         inputs = 2 * num_microphones * num_bands
         self.embedding = nn.Linear(inputs, size)
         # Fresh layers for every depth: torch's own stack would copy one and begin with equal ones.
@@ -65,8 +66,8 @@ class SnapshotTransformer(nn.Module):
 
     def forward(self, snapshots: Tensor) -> Tensor:
         tokens = snapshots.permute(0, 3, 1, 2, 4).flatten(2)  # (B, L, N K 2)
-        encoded = self.normalise(self.layers(self.embedding(tokens))).mean(1)
-        return gram_planes(self.root(encoded).unflatten(-1, self.shape), LOADING)
+        encoded = self.layers(self.embedding(tokens)).mean(1)
+        return gram_planes(self.root(self.normalise(encoded)).unflatten(-1, self.shape), LOADING)
 
 
 class TransMusicTrunk(nn.Module):
@@ -90,7 +91,7 @@ class TransMusic(HybridNetwork):
     """TransMUSIC as cited: snapshots in, directions out."""
 
     card = CARD
-    learning_rate = 5e-4
+    learning_rate = 1e-3
     bins: Sequence[int] = band_bins(CITED_BANDS)
 
     def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:
@@ -98,7 +99,7 @@ class TransMusic(HybridNetwork):
             SnapshotTransformer(num_microphones, len(self.bins), width),
             Music(num_microphones, self.bins),
         )
-        self.peaks = PeakFinder(max(16, round(256 * width)))
+        self.peaks = PeakFinder(scaled(SIZE, width))
 
     def features(self, audio: FloatArray) -> FloatArray:
         """(B, N, K, 64, 2) real and imaginary parts."""

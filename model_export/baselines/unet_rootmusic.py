@@ -25,7 +25,7 @@ from model_export.baselines.bands import (
 )
 from model_export.baselines.method import Card
 from model_export.baselines.music import HybridNetwork, Music
-from model_export.baselines.network import COUNT_WEIGHT, Prediction, Truth, count_loss
+from model_export.baselines.network import COUNT_WEIGHT, Prediction, Truth, count_loss, scaled
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 
@@ -46,7 +46,7 @@ class CovarianceUNet(nn.Module):
 
     def __init__(self, num_bands: int, width: float) -> None:
         super().__init__()
-        base = max(8, round(64 * width))
+        base = scaled(64, width)
         self.entry = _double_convolution(2 * num_bands, base)
         self.down = nn.ModuleList(
             _double_convolution(base * 2**level, base * 2 ** (level + 1))
@@ -96,7 +96,7 @@ class UNetRootMusicTrunk(nn.Module):
 
 
 class UNetRootMusic(HybridNetwork):
-    """UNet-rootMUSIC as cited: trained on covariances alone, MUSIC comes after training."""
+    """UNet-rootMUSIC as cited: trained on covariances; MUSIC comes after training."""
 
     card = CARD
     bins: Sequence[int] = band_bins(CITED_BANDS)
