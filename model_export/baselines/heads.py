@@ -8,15 +8,21 @@ from torch import Tensor, nn
 from model_export.baselines.network import GRID_SIZE, MAX_SOURCES, Prediction
 
 
+def spectrum_layer(inputs: int, grid_size: int = GRID_SIZE) -> nn.Linear:
+    """Embedding (B, D) to what a sigmoid makes a spectrum of."""
+    layer = nn.Linear(inputs, grid_size)
+    # Targets are all but zero nearly everywhere.
+    nn.init.constant_(layer.bias, -2.0)
+    return layer
+
+
 class SpectrumHead(nn.Module):
     """Embedding (B, D) to a spectrum in (0, 1) and count logits."""
 
     def __init__(self, inputs: int, grid_size: int = GRID_SIZE) -> None:
         super().__init__()
-        self.spectrum = nn.Linear(inputs, grid_size)
+        self.spectrum = spectrum_layer(inputs, grid_size)
         self.count = nn.Linear(inputs, MAX_SOURCES + 1)
-        # Targets are all but zero nearly everywhere.
-        nn.init.constant_(self.spectrum.bias, -2.0)
 
     def forward(self, embedding: Tensor) -> Prediction:
         return Prediction(self.count(embedding), spectrum=torch.sigmoid(self.spectrum(embedding)))

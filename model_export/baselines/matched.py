@@ -9,13 +9,11 @@ MUSIC and frequency attention fusion, as NeuralMUSIC's own do.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from model_export.baselines.heads import SpectrumHead
+from model_export.baselines.heads import spectrum_layer
 from model_export.baselines.method import Card
 from model_export.baselines.network import (
     GRID_SIZE,
@@ -46,7 +44,7 @@ class MatchedSpectrum(BaselineNetwork):
         super().__init__()
         self.card = card  # type: ignore[misc]
         self.trunk = trunk
-        self.head = SpectrumHead(trunk.outputs)  # type: ignore[arg-type]
+        self.spectrum = spectrum_layer(trunk.outputs)  # type: ignore[arg-type]
         self.count = SourceCountNetwork(num_microphones, MAX_SOURCES)
 
     def features(self, audio: FloatArray) -> FloatArray:
@@ -59,7 +57,8 @@ class MatchedSpectrum(BaselineNetwork):
         with torch.autocast(features.device.type, torch.bfloat16, enabled=self.training):
             features = features.contiguous(memory_format=torch.channels_last)
             embedding, logits = self.trunk(features), self.count(features)
-        return replace(self.head(embedding.float()), count=logits.float())
+        spectrum = torch.sigmoid(self.spectrum(embedding.float()))
+        return Prediction(logits.float(), spectrum=spectrum)
 
 
 class MatchedSubspace(BaselineNetwork):

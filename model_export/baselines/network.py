@@ -89,6 +89,11 @@ class BaselineNetwork(nn.Module):
         return direction_loss(prediction, truth) + COUNT_WEIGHT * count_loss(prediction, truth)
 
 
+def scaled(size: int, width: float) -> int:
+    """A hidden size at a width, 1 being the publication's; a few are left at the narrowest."""
+    return max(8, round(size * width))
+
+
 def direction_loss(prediction: Prediction, truth: Truth) -> Tensor:
     """Squared error of the spectrum, or of vectors or angles under the best permutation."""
     if prediction.spectrum is not None:
