@@ -15,5 +15,11 @@ def seeded() -> None:
 
 
 @pytest.fixture(scope="session")
+def one_of_each_count() -> list[SimulatedScene]:
+    """One, two and three talkers: methods have outputs for each."""
+    return talkers((1, 2, 3))
+
+
+@pytest.fixture(scope="session")
 def scenes() -> list[SimulatedScene]:
     return talkers()

@@ -9,10 +9,12 @@ import torch
 from torch import Tensor
 
 from model_export.baselines.network import MAX_SOURCES, BaselineNetwork, LearnedMethod, Truth
+from model_export.scenes import WINDOW_SAMPLES
 from model_export.simulate import Protocol, SimulatedScene, simulate_scene
 from model_export.synthesis import synthetic_voice
 from service.doa.array import MicrophoneArray
 from service.doa.scoring import maae
+from service.doa.types import FloatArray
 
 
 def talkers(
@@ -30,6 +32,12 @@ def talkers(
         )
         for index, count in enumerate(counts)
     ]
+
+
+def windows(num_microphones: int) -> FloatArray:
+    """Two windows of noise, (2, N, T) float32."""
+    noise = np.random.default_rng(0).standard_normal((2, num_microphones, WINDOW_SAMPLES))
+    return noise.astype(np.float32)
 
 
 def truth_of(scenes: Sequence[SimulatedScene]) -> Truth:
@@ -62,13 +70,16 @@ def untrained_parameters(network: BaselineNetwork, scenes: Sequence[SimulatedSce
 def overfitted(network: BaselineNetwork, scenes: Sequence[SimulatedScene], steps: int) -> float:
     """Degrees of MAAE on the scenes after so many steps of Adam on all of them at once.
 
-    The method's own learning rate falls to zero, and its answer uses its own count: a missing
-    direction costs 90 degrees.
+    Without dropout, which is there to prevent this. The method's own learning rate falls to zero,
+    and its answer uses its own count: a missing direction costs 90 degrees.
     """
     (features, truth), array = batch_of(network, scenes), scenes[0].array
     adam = torch.optim.Adam(network.parameters(), network.learning_rate)
     cosine = torch.optim.lr_scheduler.CosineAnnealingLR(adam, steps)
     network.train()
+    for module in network.modules():
+        if isinstance(module, torch.nn.Dropout):
+            module.p = 0.0
     for _ in range(steps):
         adam.zero_grad()
         network.loss(network(features, array, truth.count), truth, array).backward()
