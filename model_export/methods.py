@@ -11,11 +11,11 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import pyroomacoustics as pra
 
+from model_export.baselines.pyroom import direction_finder
+from model_export.baselines.told import STFT
 from model_export.simulate import SimulatedScene
 from service.doa.array import MicrophoneArray
-from service.doa.stft import Stft
 from service.doa.types import FloatArray
 from service.inference.bundle import Bundle, load_bundle
 from service.inference.classical import ClassicalLocalizer
@@ -82,15 +82,12 @@ def _localizer_answer(localizer: Localizer) -> Answer:
 
 
 def _pyroomacoustics(array: MicrophoneArray, band: tuple[float, float]) -> Answer:
-    stft = Stft()
-    method = pra.doa.algorithms["NormMUSIC"](
-        array.positions.T, stft.sample_rate, stft.n_fft, n_grid=360, dim=2
-    )
+    method = direction_finder("NormMUSIC", array)
 
     def answer(scene: SimulatedScene, known: int | None) -> FloatArray:
         # It must be told a count; where ours is not told either, it is told the truth.
         count = known or len(scene.azimuth)
-        spectra = stft.transform(scene.audio)
+        spectra = STFT.transform(scene.audio)
         method.locate_sources(spectra, num_src=count, freq_range=list(band))
         azimuth: FloatArray = np.atleast_1d(method.azimuth_recon)
         return azimuth[:count]
