@@ -15,7 +15,7 @@ from model_export.experiments.contenders import (
     title,
 )
 from model_export.experiments.drawing import axes, save, style
-from model_export.experiments.finding import Finding, Table
+from model_export.experiments.finding import Finding, Rows, Table
 from model_export.experiments.study import Contender, Study
 
 WITHOUT_SSCL = "neuralmusic, without SSCL"
@@ -83,6 +83,6 @@ def _tables(
     unit: str,
 ) -> tuple[Table, Table]:
     columns = tuple(f"{point:g}{unit}" for point in points)
-    ours = tuple((title(method), *errors) for method, errors in curves.items())
-    theirs = tuple((title(method), *errors) for method, errors in reported.items())
+    ours: Rows = tuple((title(method), *errors) for method, errors in curves.items())
+    theirs: Rows = tuple((title(method), *errors) for method, errors in reported.items())
     return Table(("method", *columns), ours), Table(("paper", *columns), theirs)

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-Cell = str | float | None
+Entry = str | float | None
+Rows = tuple[tuple[Entry, ...], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,7 +15,7 @@ class Table:
     """Rows of names and numbers."""
 
     columns: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
+    rows: Rows
     """Numbers as measured; None: there is none"""
     digits: int = 2
 
@@ -24,7 +25,7 @@ class Table:
         lines += ["| " + " | ".join(map(self._shown, row)) + " |" for row in self.rows]
         return "\n".join(lines)
 
-    def _shown(self, cell: Cell) -> str:
+    def _shown(self, cell: Entry) -> str:
         if cell is None:
             return "–"
         return cell if isinstance(cell, str) else f"{cell:,.{self.digits}f}"

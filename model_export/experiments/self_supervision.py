@@ -22,7 +22,7 @@ from model_export.experiments.study import SEED, Contender, Study
 from model_export.masking import draw_mask, masked_features
 from model_export.sscl import SsclPipeline, SsclTask
 from model_export.tasks import STFT
-from service.doa.types import BoolArray, FloatArray
+from service.doa.types import BoolArray, ComplexArray, FloatArray
 
 MASKS = ("a span of time", "a band of frequencies", "scattered cells")
 PERPLEXITY = 15.0
@@ -125,13 +125,13 @@ def _masks(shape: tuple[int, ...]) -> list[BoolArray]:
 
 
 @torch.no_grad()
-def _reconstruction(model: SsclPipeline, spectra: FloatArray, mask: BoolArray) -> FloatArray:
+def _reconstruction(model: SsclPipeline, spectra: ComplexArray, mask: BoolArray) -> ComplexArray:
     """Microphone 0 (F, L) of spectra (1, N, F, L), at their scale."""
     power = np.sqrt(np.maximum((np.abs(spectra) ** 2).sum(axis=1, keepdims=True), 1e-30))
     microphone = np.zeros(1, dtype=np.int64)
     features = torch.from_numpy(masked_features(spectra, microphone, mask[None]))
     unit = torch.from_numpy((spectra / power).astype(np.complex64))
-    rebuilt: FloatArray = model(features, unit, torch.from_numpy(microphone))[0].numpy()
+    rebuilt: ComplexArray = model(features, unit, torch.from_numpy(microphone))[0].numpy()
     return rebuilt * power[0, 0]
 
 

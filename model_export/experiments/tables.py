@@ -16,7 +16,7 @@ from model_export.experiments.contenders import (
     shipped_contenders,
     title,
 )
-from model_export.experiments.finding import Finding, Table
+from model_export.experiments.finding import Entry, Finding, Rows, Table
 from model_export.experiments.study import Contender, Scores, Study
 
 KNOWN = (Cell("test-1"), Cell("test-2"))
@@ -114,7 +114,7 @@ def transfer(study: Study) -> Finding:
     cells = {place: Cell(place) for place in PLACES}
     contenders = [*classical_contenders(), *matched_contenders()]
     before = study.scored(contenders, list(cells.values()))
-    after: dict[str, list[float]] = {}
+    after: dict[str, list[Entry]] = {}
     for place, cell in cells.items():
         tuned = matched_contenders(tuned_to=f"{place} labelled")
         for label, found in study.scored(tuned, [cell]).items():
@@ -142,7 +142,7 @@ def line(study: Study) -> Finding:
     cells = [Cell("line-1"), Cell("line-2")]
     contenders = [Contender(n) for n in ("root_music", "music", "norm_music", "srp_phat")]
     scores = study.scored(contenders, cells)
-    rows = tuple(
+    rows: Rows = tuple(
         (title(each.label), *(scores[each.label][cell]["maae_deg"] for cell in cells))
         for each in contenders
     )
