@@ -82,5 +82,6 @@ STEPS = {
 @pytest.mark.learns
 @pytest.mark.parametrize(("name", "track"), STEPS)
 def test_it_learns(name: str, track: str, scenes: list[SimulatedScene]) -> None:
-    network = network_of(name, track)
-    assert overfitted(network, scenes, STEPS[name, track]) < 3.0
+    # Six scenes, three of each count, where a step is dear.
+    few = scenes[2:] if (name, track) == ("transformer", "cited") else scenes
+    assert overfitted(network_of(name, track), few, STEPS[name, track]) < 3.0
