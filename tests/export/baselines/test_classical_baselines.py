@@ -103,6 +103,13 @@ def test_frida_repeats_its_answer_and_leaves_the_random_numbers_alone() -> None:
     np.testing.assert_array_equal(first.azimuth, second.azimuth)
 
 
+def test_frida_has_no_answer_to_a_sound_from_above_and_counts_that() -> None:
+    method = Frida()
+    above = np.repeat(plane_waves(SQUARE, [0.0], num_samples=2048)[:1], 4, axis=0)
+    assert method.localize(above, SQUARE, 1).azimuth.size == 0
+    assert method.failures == 1
+
+
 def test_frida_counts_what_a_square_tells_and_refuses_the_rest() -> None:
     # Two pairs of equal sides and two diagonals.
     assert distinct_baselines(SQUARE) == 4
