@@ -149,9 +149,9 @@ def test_focusing_is_unitary_where_the_library_has_no_matrix() -> None:
     matrices = finder.focusing(reference, np.tile(azimuth, (2, 1)))
     unit = np.broadcast_to(np.eye(4), matrices.shape)
     np.testing.assert_allclose(matrices @ matrices.conj().swapaxes(-1, -2), unit, atol=1e-9)
-    # The angle between the two vectors is another at other frequencies and stays as it is.
-    assert np.abs(matrices @ steering[:2] - steering[2]).max() < 0.25
-    assert np.abs(steering[:2] - steering[2]).max() > 0.5
+    # One direction is mapped onto the reference bin's; with two their angle to each other stays.
+    alone = finder.focusing(reference, np.tile(azimuth[:1], (2, 1))) @ steering[:2, :, :1]
+    np.testing.assert_allclose(alone, steering[[2, 2], :, :1], atol=0.01)
 
 
 def test_waves_does_not_depend_on_the_level() -> None:
