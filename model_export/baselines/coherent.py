@@ -8,10 +8,10 @@ weighted signal subspaces.
 The library (0.10) is mended in two places. Its focusing matrices are exactly singular where two
 directions mirror each other about the line through the first two microphones, which raised
 ``LinAlgError`` in a tenth of the windows with two talkers; ours are unitary (Hung and Kaveh, 1988,
-eq. (18)) and always exist. And it drops bins whose beamformer shows fewer peaks than sources
-without dropping their covariances, so that bins meet the statistics of others; here only bins
-without that want come in. Where there is no such bin the sources are focused on together, with one
-direction less.
+Focussing matrices for coherent signal-subspace processing) and always exist. And it drops bins
+whose beamformer shows fewer peaks than sources without dropping their covariances, so that bins
+meet the statistics of others; here only bins without that want come in. Where there is no such bin
+the sources are focused on together, with one direction less.
 """
 
 from __future__ import annotations

@@ -36,9 +36,9 @@ BAND = (1000.0, 4000.0)
 NUM_BINS = 20
 MOST_FOURIER = 6
 """Highest order of the coefficients, of arrays of some decimetres"""
-FAILURES = (np.linalg.LinAlgError, UnboundLocalError, RuntimeError)
-"""What the library raises where no random start has led anywhere: a singular system, a result that
-was never set, amplitudes that do not converge"""
+FAILURES = (np.linalg.LinAlgError, ValueError, UnboundLocalError, RuntimeError)
+"""What the library raises where no start leads anywhere: singular systems, roots that are not
+finite (a sound from above, which has no azimuth), results never set, amplitudes not converging"""
 
 
 @dataclass(frozen=True, slots=True)

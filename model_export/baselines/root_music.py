@@ -129,10 +129,6 @@ def signal_roots(projector: ComplexArray, num_sources: int) -> ComplexArray:
     -------
     roots : (F, M) complex128
         exp(j 2 pi f d cos(phi) / c) of sources without noise, the nearest to the circle first.
-
-    References
-    ----------
-    Barabell, 1983, eq. (6) to (9).
     """
     microphones = projector.shape[-1]
     offsets = range(microphones - 1, -microphones, -1)
