@@ -100,7 +100,7 @@ class DeepDae(BaselineNetwork):
 
 
 def likelihood(truth: Truth, num_angles: int) -> Tensor:
-    """(B, A): the maximum over the sources of exp(-d^2 / sigma^2), 0 without any (section IV-A)."""
+    """(B, A): the maximum over the sources of exp(-d^2 / sigma^2), 0 without any."""
     grid = torch.arange(num_angles, device=truth.azimuth.device) * (2 * torch.pi / num_angles)
     bumps = wrapped_gaussians(truth.azimuth, grid, LIKELIHOOD_WIDTH / 2**0.5)  # (B, M, A)
     return (bumps * truth.mask[..., None]).amax(-2)

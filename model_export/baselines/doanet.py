@@ -18,7 +18,7 @@ CARD = Card(
     "doanet",
     "DOANet",
     "learned",
-    "Qayyum, Hassan, Anjum et al., DOANet, EURASIP J. Audio Speech Music Process. (2020)",
+    "Qayyum et al., EURASIP J. Audio Speech Music Process. (2020)",
     "16 kHz in place of 44.1 kHz, windows of unit power, x and y per source",
 )
 FILTERS = (32, 64, 128, 256, 512, 1024, 1024, 2048, 2048)

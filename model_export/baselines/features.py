@@ -89,7 +89,7 @@ def gcc_phat(spectra: ComplexArray, lags: FloatArray) -> FloatArray:
 def gcc_filter_bank(spectra: ComplexArray, filters: FloatArray, lags: FloatArray) -> FloatArray:
     """GCC-PHAT in bands (GCCFB), the mean over the frames: (..., P, B, D) float32.
 
-    He, Motlicek and Odobez, 2018, section III: whitened cross-spectra are weighted with a band's
+    He, Motlicek and Odobez, 2018: whitened cross-spectra are weighted with a band's
     filter (B, F) before they are transformed to ``lags`` (D,) in samples; a pure delay gives 1.
     """
     basis = _lag_basis(spectra.shape[-1], tuple(lags))
@@ -123,7 +123,6 @@ def _lag_basis(num_bins: int, lags: tuple[float, ...]) -> FloatArray:
     """The inverse real Fourier transform at lags in samples, (2 F, D) float32.
 
     Rows are a bin's real part, its imaginary part, the next bin's: complex numbers as in memory.
-
     A few lags of a long transform cost less as a matrix, and lags between samples cost no more.
     """
     n_fft = 2 * (num_bins - 1)
