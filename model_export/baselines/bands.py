@@ -72,9 +72,10 @@ def ideal_covariance(array: MicrophoneArray, truth: Truth, frequencies: FloatArr
 
     Zero where there is no source.
     """
-    delays = np.stack([steering_delays(array.positions, a) for a in truth.azimuth.double().numpy()])
+    azimuth = truth.azimuth.double().cpu().numpy()
+    delays = np.stack([steering_delays(array.positions, row) for row in azimuth])
     phase = 2 * np.pi * frequencies[:, None, None] * delays[:, None]  # (B, K, N, M)
-    steering = torch.from_numpy(np.exp(1j * phase).astype(np.complex64))
+    steering = torch.from_numpy(np.exp(1j * phase).astype(np.complex64)).to(truth.mask.device)
     share = truth.mask / truth.count.clamp(min=1)[:, None]  # (B, M)
     return (steering * share[:, None, None]) @ steering.mH
 

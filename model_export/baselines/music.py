@@ -23,17 +23,19 @@ LOG_FLOOR = -3.2
 
 def array_products(array: MicrophoneArray, azimuth: Tensor, frequencies: FloatArray) -> Tensor:
     """``delay_products`` (B, F, N^2, A) of azimuths (B, A) in radians."""
-    delays = [steering_delays(array.positions, row) for row in azimuth.double().numpy()]
-    return delay_products(torch.from_numpy(np.stack(delays)), torch.from_numpy(frequencies).float())
+    delays = [steering_delays(array.positions, row) for row in azimuth.double().cpu().numpy()]
+    return delay_products(
+        torch.from_numpy(np.stack(delays)).to(azimuth.device),
+        torch.from_numpy(frequencies).float().to(azimuth.device),
+    )
 
 
 def music_spectrum(
     projector: Tensor, array: MicrophoneArray, frequencies: FloatArray, floor: Tensor
 ) -> Tensor:
     """MUSIC spectra (B, F, 360) of signal projectors (B, F, N, N), with a maximum of 1."""
-    products = array_products(array, torch.from_numpy(azimuth_grid(GRID_SIZE))[None], frequencies)[
-        0
-    ]
+    grid = torch.from_numpy(azimuth_grid(GRID_SIZE)).to(projector.device)
+    products = array_products(array, grid[None], frequencies)[0]
     # The scenes share a bin's steering vectors, hence bins first.
     power = signal_power(projector.transpose(0, 1), products)  # (F, B, A)
     spectrum = 1 / (1 - power.clamp(max=1) + floor)

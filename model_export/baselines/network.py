@@ -41,6 +41,10 @@ class Truth:
         """(B,) int"""
         return self.mask.sum(-1)
 
+    def to(self, device: str) -> Truth:
+        """The same on a device."""
+        return Truth(self.azimuth.to(device), self.mask.to(device))
+
 
 @dataclass(frozen=True, slots=True)
 class Prediction:

@@ -139,11 +139,12 @@ def expected_square(spectrum: Tensor, truth: Truth) -> Tensor:
     mean in a narrow window, a soft argmax, would be unmoved by peaks elsewhere and zero for a flat
     spectrum; the expectation of the error is neither.
     """
-    grid = torch.arange(spectrum.shape[-1]) * (2 * torch.pi / spectrum.shape[-1])
+    device = spectrum.device
+    grid = torch.arange(spectrum.shape[-1], device=device) * (2 * torch.pi / spectrum.shape[-1])
     gap = torch.remainder(grid - truth.azimuth[..., None] + torch.pi, 2 * torch.pi) - torch.pi
     square = gap.square().masked_fill(~truth.mask[..., None], torch.inf)  # (B, M, A)
     nearest, owner = square.min(1)  # (B, A)
-    sources = torch.arange(truth.mask.shape[1])[:, None]
+    sources = torch.arange(truth.mask.shape[1], device=device)[:, None]
     owned = truth.mask[..., None] & (owner[:, None] == sources)
     logits = (SHARPNESS * spectrum)[:, None].masked_fill(~owned, -torch.inf)
     # Sources that do not exist own no angle; a softmax over none would be undefined.

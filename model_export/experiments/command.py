@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import torch
+
 from model_export.experiments.finding import Finding
 from model_export.experiments.report import FOLDER, keep, renew, section
 from model_export.experiments.scale import SCALES
@@ -94,6 +96,7 @@ def _add_where(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", type=Path, help="docs folder to renew (default: only print)")
     parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--device", help="cpu or cuda (default: cuda where there is one)")
 
 
 def _methods(arguments: argparse.Namespace) -> None:
@@ -130,8 +133,13 @@ def _recordings(arguments: argparse.Namespace) -> None:
 def _study(arguments: argparse.Namespace) -> Study:
     from model_export.experiments.study import Study
 
-    folder = arguments.runs / arguments.scale
-    return Study(folder, arguments.scale, arguments.speech_commands, arguments.workers)
+    return Study(
+        arguments.runs / arguments.scale,
+        arguments.scale,
+        arguments.speech_commands,
+        arguments.workers,
+        arguments.device or ("cuda" if torch.cuda.is_available() else "cpu"),
+    )
 
 
 def _tell(

@@ -19,6 +19,7 @@ from model_export.experiments.drawing import OURS, axes, save
 from model_export.experiments.finding import Finding, Table
 from model_export.experiments.scene_set import SceneSet
 from model_export.experiments.study import SEED, Contender, Study
+from model_export.experiments.training import parameters
 from model_export.masking import draw_mask, masked_features
 from model_export.sscl import SsclPipeline, SsclTask
 from model_export.tasks import STFT
@@ -52,8 +53,7 @@ def reconstructions(study: Study, figures: Path) -> Finding:
     study.train([NEURALMUSIC])
     study.simulate(["test-1"])
     task = SsclTask(PAPER_SSCL)
-    state = torch.load(study.pretraining(TRAIN) / "checkpoint.pt", weights_only=True)["model"]
-    task.model.load_state_dict(state)
+    task.model.load_state_dict(parameters(study.pretraining(TRAIN)))
     task.model.eval()
     spectra = STFT.transform(study.scenes("test-1").window(0)[None])
     figure = Figure(figsize=(9, 6.6), layout="constrained")
@@ -141,8 +141,7 @@ def _latent(study: Study, scenes: SceneSet) -> dict[str, FloatArray]:
     audio = np.stack([scenes.window(index) for index in range(len(scenes))])
     features = torch.from_numpy(matched_features(audio))
     pretrained = SsclTask(PAPER_SSCL).model
-    state = torch.load(study.pretraining(TRAIN) / "checkpoint.pt", weights_only=True)["model"]
-    pretrained.load_state_dict(state)
+    pretrained.load_state_dict(parameters(study.pretraining(TRAIN)))
     method = study.method(Contender("neuralmusic", NEURALMUSIC))
     assert isinstance(method, LearnedMethod)
     assert isinstance(method.network, MatchedSubspace)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import os
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -31,6 +32,7 @@ from model_export.experiments.training import (
     Training,
     describe,
     fit,
+    parameters,
     pretrain,
 )
 from service.doa import scoring
@@ -38,6 +40,8 @@ from service.doa.mirror import into_searched_half
 from service.doa.types import FloatArray
 
 SEED = 1
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+"""Of each worker: the machine's CPUs are shared by as many workers"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +76,8 @@ class Study:
     speech: Path
     """Speech Commands"""
     workers: int = 1
+    device: str = "cpu"
+    """That networks are trained on; answers are always computed on the CPU"""
 
     @property
     def scale(self) -> Scale:
@@ -109,9 +115,13 @@ class Study:
         """Every contender's scores in every cell, by its label."""
         self.simulate(cell.scenes for cell in cells)
         self.train(each.training for each in contenders if each.training)
-        tasks = [(self, each, cell) for each in contenders for cell in cells]
-        found = iter(self._work(_score, tasks, "scoring"))
-        return {each.label: {cell: next(found) for cell in cells} for each in contenders}
+        asked = [(self, each, _told(each, cell)) for each in contenders for cell in cells]
+        tasks = list(dict.fromkeys(asked))
+        found = dict(zip(tasks, self._work(_score, tasks, "scoring"), strict=True))
+        return {
+            each.label: {cell: found[self, each, _told(each, cell)] for cell in cells}
+            for each in contenders
+        }
 
     def run(self, training: Training) -> Path:
         """The folder of a training."""
@@ -126,8 +136,7 @@ class Study:
         if contender.training is None:
             return {**classical(), **shipped()}[contender.label]
         fresh = _fresh(self, contender.training)
-        state = torch.load(self.run(contender.training) / "checkpoint.pt", weights_only=True)
-        fresh.load_state_dict(state["model"])
+        fresh.load_state_dict(parameters(self.run(contender.training)))
         return LearnedMethod(fresh)
 
     def _work(self, job: Callable[[Any], Any], tasks: Sequence[Any], description: str) -> list[Any]:
@@ -148,6 +157,8 @@ class Study:
                     results.append(job(task))
                     progress.advance(bar)
                 return results
+            # Fresh processes read their number of threads from the environment.
+            os.environ.update(ONE_THREAD)
             context = multiprocessing.get_context("spawn")
             with ProcessPoolExecutor(self.workers, context, initializer=_single_thread) as pool:
                 futures = [pool.submit(job, task) for task in tasks]
@@ -179,15 +190,14 @@ def _silent(step: int, steps: int, loss: float) -> None:
 def _pretrain(task: tuple[Study, str]) -> None:
     study, name = task
     budget = Budget(study.scale.pretraining_epochs, study.scale.batch_size)
-    pretrain(study.scenes(name), budget, study.pretraining(name), SEED, _silent)
+    pretrain(study.scenes(name), budget, study.pretraining(name), SEED, _silent, study.device)
 
 
 def _train(task: tuple[Study, Training]) -> None:
     study, training = task
     scale, run, fresh = study.scale, study.run(training), _fresh(study, training)
     if training.tuned_to:
-        base = study.run(replace(training, tuned_to=None)) / "checkpoint.pt"
-        fresh.load_state_dict(torch.load(base, weights_only=True)["model"])
+        fresh.load_state_dict(parameters(study.run(replace(training, tuned_to=None))))
         scenes = study.scenes(training.tuned_to)
         budget = Budget(scale.tuning_epochs, scale.batch_size, TUNING_RATE)
     else:
@@ -198,16 +208,20 @@ def _train(task: tuple[Study, Training]) -> None:
     if training.pretrained and not training.tuned_to:
         _take_encoder(fresh.trunk, study.pretraining(training.scenes))
     describe(run, training, budget)
-    fit(fresh, scenes, budget, run, SEED, _silent)
+    fit(fresh, scenes, budget, run, SEED, _silent, study.device)
 
 
 def _take_encoder(trunk: CovarianceTrunk, pretraining: Path) -> None:
     """Every parameter and statistic of the self-supervised encoder."""
-    state = torch.load(pretraining / "checkpoint.pt", weights_only=True)["model"]
-    prefix = "encoder."
+    state, prefix = parameters(pretraining), "encoder."
     trunk.encoder.load_state_dict(
         {name[len(prefix) :]: value for name, value in state.items() if name.startswith(prefix)}
     )
+
+
+def _told(contender: Contender, cell: Cell) -> Cell:
+    """The cell as the contender sees it: what cannot count is told the count everywhere."""
+    return cell if contender.counts else replace(cell, count_known=True)
 
 
 def _score(task: tuple[Study, Contender, Cell]) -> Scores:
@@ -223,14 +237,14 @@ def _score(task: tuple[Study, Contender, Cell]) -> Scores:
 
 
 def score(method: Method, scenes: SceneSet, cell: Cell) -> Scores:
-    """A method's scores on a set; those that do not count are told the truth in every cell.
+    """A method's scores on a set.
 
     On a line of microphones front and back are one, in the truth as in the answers.
     """
     found, truth, spent = [], [], []
     for index in range(min(len(scenes), cell.first or len(scenes))):
         sources = scenes.sources(index)
-        told = len(sources) if cell.count_known or not method.counts else None
+        told = len(sources) if cell.count_known else None
         audio = heard(scenes, index, cell.snr_db)
         begun = time.process_time()
         found.append(method.localize(audio, scenes.array, told).azimuth)

@@ -19,6 +19,7 @@ from model_export.experiments.augmentation import sometimes_noisy, symmetries
 from model_export.experiments.scene_set import SceneSet
 from model_export.scenes import Scene
 from model_export.sscl import SsclTask
+from model_export.train import on
 from service.doa.types import FloatArray
 
 Track = Literal["cited", "matched"]
@@ -78,6 +79,7 @@ def fit(
     run: Path,
     seed: int,
     progress: Progress,
+    device: str = "cpu",
 ) -> BaselineNetwork:
     """Train on a scene set, going on where the run's checkpoint stopped.
 
@@ -86,6 +88,7 @@ def fit(
     """
     per_epoch = max(1, len(scenes) // budget.batch_size)
     steps = budget.epochs * per_epoch
+    network.to(device)
     fitting = _Fitting(network, network.learning_rate * budget.rate, steps, run)
     turns = symmetries(scenes.array)
     network.train()
@@ -99,32 +102,41 @@ def fit(
         if network.steered:
             turn = float(rng.uniform(0, 2 * np.pi))
             array, truth = array.rotated(turn), replace(truth, azimuth=truth.azimuth + turn)
-        prediction = network(torch.from_numpy(network.features(audio)), array, truth.count)
+        truth = truth.to(device)
+        features = torch.from_numpy(network.features(audio)).to(device)
+        prediction = network(features, array, truth.count)
         fitting.optimize(network.loss(prediction, truth, array))
         progress(fitting.step, steps, fitting.running)
-    return network.eval()
+    return network.cpu().eval()
 
 
 def pretrain(
-    scenes: SceneSet, budget: Budget, run: Path, seed: int, progress: Progress
-) -> tuple[nn.Module, list[dict[str, float]]]:
-    """The self-supervised stage on a scene set without its labels: the task's model, its curve."""
+    scenes: SceneSet, budget: Budget, run: Path, seed: int, progress: Progress, device: str = "cpu"
+) -> None:
+    """The self-supervised stage on a scene set without its labels, left in the run's checkpoint."""
     task = SsclTask(PAPER_SSCL, scenes.array)
-    per_epoch = max(1, len(scenes) // budget.batch_size)
-    fitting = _Fitting(
-        task.model, PAPER_SSCL.learning_rate * budget.rate, budget.epochs * per_epoch, run
-    )
-    task.model.train()
-    while fitting.step < fitting.steps:
+    task.model.to(device).train()
+    size = min(budget.batch_size, len(scenes))
+    steps = budget.epochs * max(1, len(scenes) // size)
+    fitting = _Fitting(task.model, PAPER_SSCL.learning_rate * budget.rate, steps, run)
+    while fitting.step < steps:
         rng = np.random.default_rng([seed, 2, fitting.step])
-        chosen = np.sort(
-            rng.choice(len(scenes), min(budget.batch_size, len(scenes)), replace=False)
-        )
+        chosen = np.sort(rng.choice(len(scenes), size, replace=False))
         batch = task.collate(rng, [_unlabelled(scenes, int(index)) for index in chosen])
-        fitting.optimize(task.losses(batch)["loss"])
-        progress(fitting.step, fitting.steps, fitting.running)
-    task.model.eval()
-    return task.model, fitting.curve
+        fitting.optimize(task.losses(on(device, batch))["loss"])
+        progress(fitting.step, steps, fitting.running)
+
+
+def parameters(run: Path) -> dict[str, torch.Tensor]:
+    """The model of a run's checkpoint, on the CPU."""
+    model: dict[str, torch.Tensor] = checkpoint(run)["model"]
+    return model
+
+
+def checkpoint(run: Path) -> dict[str, Any]:
+    """All that a run left when it was last interrupted or ended."""
+    state: dict[str, Any] = torch.load(run / "checkpoint.pt", weights_only=True, map_location="cpu")
+    return state
 
 
 class _Fitting:
@@ -145,7 +157,7 @@ class _Fitting:
         )
         run.mkdir(parents=True, exist_ok=True)
         if (run / "checkpoint.pt").exists():
-            self._resume(torch.load(run / "checkpoint.pt", weights_only=True))
+            self._resume(checkpoint(run))
 
     def optimize(self, loss: torch.Tensor) -> None:
         """One step; now and then a checkpoint, always at the end."""

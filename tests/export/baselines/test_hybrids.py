@@ -182,7 +182,7 @@ def test_music_names_the_directions_of_ideal_covariances(
 
 
 def test_cards_name_the_methods_and_widths_are_at_most_the_cited_size() -> None:
-    assert NAMES == ["da-music", "deepmusic", "subspacenet", "transmusic", "unet-rootmusic"]
+    assert NAMES == ["da_music", "deepmusic", "subspacenet", "transmusic", "unet_rootmusic"]
     for name, baseline in METHODS.items():
         assert baseline.cited(4, width=WIDTH).card is baseline.card, name
         assert baseline.matched(4, width=WIDTH).card is baseline.card, name
