@@ -43,8 +43,8 @@ class Task:
     test: str
     zero_known: bool = True
     """Whether annotations are in the array's frame"""
-    reported: Mapping[int, str] = MappingProxyType({})
-    """The paper's column for a number of sources"""
+    reported: tuple[str, ...] = ()
+    """The paper's columns for one, two, ... sources"""
 
 
 TASKS: Mapping[str, Task] = MappingProxyType(
@@ -54,15 +54,15 @@ TASKS: Mapping[str, Task] = MappingProxyType(
         ),
         "av163-both": Task(
             "AV16.3, both arrays", AV163, "train", "test",
-            reported=MappingProxyType({1: "AV16.3 M=1", 2: "AV16.3 M=2"}),
+            reported=("AV16.3 M=1", "AV16.3 M=2"),
         ),
         "sloclas": Task(
             "SLoClas", SLoClas, "train", "test", zero_known=False,
-            reported=MappingProxyType({1: "SLoClas"}),
+            reported=("SLoClas",),
         ),
         "afpild": Task(
             "AFPILD", AFPILD, "train", "test", zero_known=False,
-            reported=MappingProxyType({1: "AFPILD"}),
+            reported=("AFPILD",),
         ),
         "locata": Task("LOCATA", LOCATA, "dev", "eval"),
     }
@@ -83,7 +83,7 @@ def recordings(study: Study, name: str, folder: Path) -> Finding:
     cells = {count: Cell(f"{name} test-{count}") for count in counts}
     contenders = [*classical_contenders(), *matched_contenders(scenes=train)]
     scores = study.scored(contenders, list(cells.values()))
-    columns = tuple(task.reported[count] for count in cells if count in task.reported)
+    columns = task.reported
     rows = tuple(
         (
             title(each.label),

@@ -91,10 +91,10 @@ class Study:
         """Make the scene sets that are missing."""
         known = recipes(self.scale)
         for name in dict.fromkeys(names):
-            recipe, folder = known[name], self.folder / "scenes" / name
+            folder = self.folder / "scenes" / name
             if not is_whole(folder):
-                speech = load(speech_commands(self.speech, recipe.split))
-                simulated(folder, recipe, speech, self.workers)
+                speech = load(speech_commands(self.speech, known[name].split))
+                simulated(folder, known[name], speech, self.workers)
 
     def train(self, trainings: Iterable[Training]) -> None:
         """Do the trainings that are not done, and what they start from."""

@@ -9,6 +9,8 @@ import pytest
 from model_export.__main__ import main
 from model_export.baselines.catalogue import ORDER, cards, network
 
+pytestmark = pytest.mark.torch
+
 
 def test_the_command_lists_every_method(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["methods", "--json"]) == 0

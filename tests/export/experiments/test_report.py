@@ -5,10 +5,14 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
+import pytest
+
 from model_export.experiments.finding import Finding, Table
 from model_export.experiments.report import keep, kept_section, renew, section
 from model_export.experiments.scale import SCALES
 from model_export.results import Results
+
+pytestmark = pytest.mark.torch
 
 FINDING = Finding("Words.", (Table(("method", "M=1"), (("MUSIC", 3.961), ("other", None))),))
 SCALE = asdict(SCALES["small"])

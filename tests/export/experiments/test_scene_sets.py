@@ -16,6 +16,8 @@ from model_export.synthesis import synthetic_voice
 from service.doa.presets import preset
 from service.inference.classical import ClassicalLocalizer
 
+pytestmark = pytest.mark.torch
+
 SQUARE = preset("respeaker-usb-4mic-v2")
 
 

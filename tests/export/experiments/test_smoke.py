@@ -10,7 +10,7 @@ import pytest
 from model_export.__main__ import main
 from model_export.experiments.command import NAMES, experiments
 
-pytestmark = pytest.mark.learns
+pytestmark = [pytest.mark.torch, pytest.mark.learns]
 
 
 def test_all_experiments_run_and_do_nothing_twice(

@@ -20,6 +20,8 @@ from model_export.experiments.training import Budget, Training, describe, fit
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 
+pytestmark = pytest.mark.torch
+
 SQUARE = preset("respeaker-usb-4mic-v2")
 CARD = Card("tiny", "Tiny", "learned", "no publication")
 
