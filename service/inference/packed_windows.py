@@ -20,7 +20,7 @@ NO_SPECTRUM: FloatArray = np.empty(0, dtype=np.float32)
 
 
 class PackedWindows(Sequence[WindowResult]):
-    """Windows in the order of time; one with two sources takes 105 bytes, as objects with a spectrum 4,000.
+    """Windows in the order of time; one with two sources takes 105 bytes.
 
     Parameters
     ----------
