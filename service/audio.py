@@ -122,8 +122,11 @@ class Recording:
                 self.sample_rate, sample_rate, len(channels), dtype="float32", quality="HQ"
             )
         start = 0
+        all_in_order = list(channels) == list(range(self.channels))
         for decoded in self._decode():
-            block = np.ascontiguousarray(decoded[:, list(channels)])
+            block = decoded
+            if not all_in_order:
+                block = np.ascontiguousarray(decoded[:, list(channels)])
             self._check_samples(block, channels, start)
             start += len(block)
             if resampler is not None:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import BinaryIO
 
+from service.api.localization_json import localization_json
 from service.api.options import LocalizeRequest
-from service.api.schemas import LocalizationAnswer
 from service.audio import AudioLimits, Recording
 from service.errors import DoaError, InvalidOption
 from service.inference.recording import localize_recording
 from service.inference.registry import BundleRegistry
 
 MAX_WINDOWS = 50_000
-"""Of one answer; each holds a spectrum in memory"""
+"""Of one answer"""
 MAX_SPECTRUM_WINDOWS = 10_000
 """Of one answer with spectra, which has 360 numbers for every window"""
 
@@ -87,13 +87,12 @@ def localize_file(
         report(Opened(recording.duration))
         result = localize_recording(
             recording,
-            asked.options,
+            replace(asked.options, spectra=asked.spectrum),
             registry,
             lambda share: report(Progress(share)),
             threads=threads,
         )
-    body = LocalizationAnswer.of(result, spectrum=asked.spectrum).to_json()
-    return body, len(result.windows)
+    return localization_json(result, spectrum=asked.spectrum), len(result.windows)
 
 
 def _check_windows(duration: float, asked: LocalizeRequest) -> None:

@@ -151,7 +151,8 @@ class LocalizationAnswer(Answer):
     warnings: list[WarningAnswer]
 
     @classmethod
-    def of(cls, result: RecordingResult, *, spectrum: bool = False) -> Self:
+    def of(cls, result: RecordingResult) -> Self:
+        """Everything but the windows, of which there may be thousands."""
         model, array = result.model, result.array
         return cls(
             model=ModelAnswer.model_validate(model, from_attributes=True) if model else None,
@@ -166,14 +167,10 @@ class LocalizationAnswer(Answer):
                 positions_m=array.positions.tolist(),
                 channel_map=list(result.channel_map),
             ),
-            windows=[WindowAnswer.of(window, spectrum=spectrum) for window in result.windows],
+            windows=[],
             summary=SummaryAnswer(sources=[SummarySourceAnswer.of(s) for s in result.summary]),
             warnings=[WarningAnswer(code=w.code, detail=w.detail) for w in result.warnings],
         )
-
-    def to_json(self) -> bytes:
-        """The answer as it is sent: a spectrum nobody asked for is absent, not null."""
-        return self.model_dump_json(exclude_unset=True).encode()
 
 
 class BoundArrayAnswer(Answer):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,15 +40,16 @@ def run(args: argparse.Namespace) -> int:
         from service.plot import check_drawable
 
         check_drawable(args.plot)  # before the work, not after it
-    result = _localize(args, asked.options)
+    spectra = asked.spectrum or bool(args.plot)
+    result = _localize(args, replace(asked.options, spectra=spectra))
     if args.plot:
         from service.plot import save_figure
 
         save_figure(result, args.plot)
     if args.json:
-        from service.api.schemas import LocalizationAnswer
+        from service.api.localization_json import localization_json
 
-        print(LocalizationAnswer.of(result, spectrum=asked.spectrum).to_json().decode())
+        print(localization_json(result, spectrum=asked.spectrum).decode())
     else:
         from service.cli.directions import print_result
 

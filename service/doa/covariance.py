@@ -82,8 +82,10 @@ def chosen_and_sum(blocks: ComplexArray, chosen: IntArray) -> ComplexArray:
         cells[:-1] = np.take_along_axis(blocks, chosen[..., None, None], axis=0)
         np.sum(blocks, axis=0, out=cells[-1])
         return cells
-    planes = np.moveaxis(blocks, (-2, -1), (0, 1))
+    planes = np.moveaxis(blocks, (-2, -1), (0, 1))  # (N, N, K, F)
     cells = np.empty((microphones, microphones, count + 1, bins), dtype=blocks.dtype)
-    cells[:, :, :-1] = np.take_along_axis(planes, chosen[None, None], axis=2)
+    places = chosen * bins + np.arange(bins)
+    flat = planes.reshape(microphones, microphones, -1)
+    np.take(flat, places, axis=2, out=cells[:, :, :-1], mode="clip")
     np.sum(planes, axis=2, out=cells[:, :, -1])
     return cells.transpose(2, 3, 0, 1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from service.doa.peaks import circular_difference
@@ -14,17 +14,15 @@ SAME = math.radians(15.0)
 """Radians; further from every track a source is nobody's"""
 
 
-def identified(windows: Sequence[WindowResult]) -> list[WindowResult]:
+def identified(windows: Iterable[WindowResult]) -> Iterator[WindowResult]:
     """The windows with ids on their sources; directions and confidences stay the windows' own."""
     tracker = Tracker()
-    found = []
     for window in windows:
         sources = window.estimate.sources
         detections = [Detection(source.azimuth, source.confidence) for source in sources]
         tracks = tracker.update(detections, window.t_end)
         named = tuple(_named(source, tracks) for source in sources)
-        found.append(replace(window, estimate=replace(window.estimate, sources=named)))
-    return found
+        yield replace(window, estimate=replace(window.estimate, sources=named))
 
 
 def _named(source: Source, tracks: Sequence[Track]) -> Source:

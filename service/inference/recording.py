@@ -26,6 +26,7 @@ from service.inference.classical import ClassicalLocalizer
 from service.inference.concurrent import in_order
 from service.inference.identities import identified
 from service.inference.localizer import Localizer, localizer_of
+from service.inference.packed_windows import PackedWindows
 from service.inference.registry import BundleRegistry
 from service.inference.results import (
     AudioWarning,
@@ -77,16 +78,10 @@ def localize_recording(
     diagnostics = ChannelDiagnostics(stft.sample_rate, array.num_microphones, channel_map)
     blocks = _observed(recording.blocks(channel_map, stft.sample_rate), diagnostics)
     cut = windows(blocks, stft.sample_rate, options.window_s, options.hop_s, stft.n_fft - stft.hop)
-    results: list[WindowResult] = []
-    estimate_batch = partial(_estimate, localizer, options)
-    for batch, estimates in in_order(estimate_batch, _batches(cut), threads):
-        for window, estimate in zip(batch, estimates, strict=True):
-            t_end = min(window.start + options.window_s, recording.duration)
-            turned = _on_robot(estimate, options.orientation)
-            results.append(WindowResult(window.start, t_end, turned))
-        if progress:
-            progress(min(1.0, batch[-1].start / recording.duration))
-    results = identified(results)
+    estimated = in_order(partial(_estimate, localizer, options), _batches(cut), threads)
+    results = PackedWindows(options.orientation, spectra=options.spectra)
+    for window in identified(_placed(estimated, options, recording.duration, progress)):
+        results.append(window)
     if progress:
         progress(1.0)
     return RecordingResult(
@@ -124,14 +119,30 @@ def _unless_silent(window: Window, estimate: WindowEstimate) -> WindowEstimate:
     return WindowEstimate((), np.zeros_like(estimate.spectrum)) if silent else estimate
 
 
+def _placed(
+    estimated: Iterable[tuple[tuple[Window, ...], list[WindowEstimate]]],
+    options: LocalizeOptions,
+    duration: float,
+    progress: Callable[[float], None] | None,
+) -> Iterator[WindowResult]:
+    """Windows with their time and with what of them is to be reported."""
+    for batch, estimates in estimated:
+        for window, estimate in zip(batch, estimates, strict=True):
+            t_end = min(window.start + options.window_s, duration)
+            reported = _on_robot(estimate, options.orientation)
+            yield WindowResult(window.start, t_end, reported)
+        if progress:
+            progress(min(1.0, batch[-1].start / duration))
+
+
 def _on_robot(estimate: WindowEstimate, orientation: Orientation) -> WindowEstimate:
-    """The estimate in the robot's frame, without what lies in excluded sectors."""
+    """The sources in the robot's frame, without what lies in excluded sectors."""
     sources = tuple(
         replace(source, azimuth=orientation.on_robot(source.azimuth))
         for source in estimate.sources
         if not orientation.excludes(source.azimuth)
     )
-    return WindowEstimate(sources, orientation.spectrum_on_robot(estimate.spectrum))
+    return replace(estimate, sources=sources)
 
 
 def _observed(

@@ -39,7 +39,8 @@ class WindowEstimate:
     sources: tuple[Source, ...]
     """Most confident first"""
     spectrum: FloatArray
-    """(A,) broadband spatial spectrum on the azimuth grid, maximum at most 1"""
+    """(A,) broadband spatial spectrum on the azimuth grid, maximum at most 1; (0,) of a recording's
+    window whose spectrum nobody asked for"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +107,8 @@ class LocalizeOptions:
     """How the array is mounted, and where nothing is reported"""
     noise: NoiseCovariance | None = None
     """The robot's own noise, to be taken away"""
+    spectra: bool = True
+    """Whether the windows' spectra are kept: without them a window is a few numbers"""
 
 
 @dataclass(frozen=True, slots=True)

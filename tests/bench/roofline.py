@@ -15,11 +15,12 @@ import onnx
 from onnx import helper
 
 from service.bench import cpu_ms
+from service.doa.subspace import APPLICATIONS, SQUARINGS
 from service.inference.engine import Engine
 from service.inference.registry import EMBEDDED_MODELS
 
 BINS, FRAMES, FFT, AZIMUTHS = 256, 64, 512, 180
-ROWS, SQUARINGS, ROUNDS = 5, 5, 4
+ROWS, ROUNDS = 5, 4
 COMPLEX, REAL = 8, 4
 """Bytes"""
 
@@ -53,7 +54,10 @@ def demands(n: int) -> dict[str, tuple[float, float]]:
             cells * (2 * n + 8 * n * (n + 1) / 2),
             spectra + matrices * n * n * COMPLEX,
         ),
-        "evd": (matrices * (SQUARINGS * 8 * n**3 + 20 * n * n), matrices * n * n * COMPLEX),
+        "evd": (
+            matrices * (SQUARINGS * 8 * n**3 + APPLICATIONS * 8 * n * n + 20 * n * n),
+            matrices * n * n * COMPLEX,
+        ),
         "spectrum": (
             values * (2 * products + 2),
             (BINS * products * AZIMUTHS + values) * REAL,

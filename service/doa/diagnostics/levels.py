@@ -46,18 +46,21 @@ class LevelMeter:
 
     def add(self, block: FloatArray) -> FloatArray:
         """Count a block (N, T) and give it back with zeros where it is not finite."""
-        finite = np.isfinite(block)
-        if not finite.all():
-            self._non_finite += np.count_nonzero(~finite, axis=-1)
-            block = np.where(finite, block, np.float32(0.0))
         if block.shape[-1] == 0:
             return block
-        magnitude = np.abs(block)
+        peak = np.abs(block).max(axis=-1)  # not finite where a sample is not
+        if not np.isfinite(peak).all():
+            finite = np.isfinite(block)
+            self._non_finite += np.count_nonzero(~finite, axis=-1)
+            block = np.where(finite, block, np.float32(0.0))
+            peak = np.abs(block).max(axis=-1)
+        exact = block.astype(np.float64)
         self._count += block.shape[-1]
-        self._sum += block.sum(axis=-1, dtype=np.float64)
-        self._squares += np.square(block, dtype=np.float64).sum(axis=-1)
-        self._peak = np.maximum(self._peak, magnitude.max(axis=-1))
-        self._clipped += np.count_nonzero(magnitude >= FULL_SCALE, axis=-1)
+        self._sum += exact.sum(axis=-1)
+        self._squares += np.einsum("nt,nt->n", exact, exact)
+        self._peak = np.maximum(self._peak, peak)
+        if (peak >= FULL_SCALE).any():
+            self._clipped += np.count_nonzero(np.abs(block) >= FULL_SCALE, axis=-1)
         return block
 
     def levels(self) -> ChannelLevels:
