@@ -96,6 +96,9 @@ def _add_where(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", type=Path, help="docs folder to renew (default: only print)")
     parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument(
+        "--methods", nargs="+", default=[], metavar="METHOD", help="only these rows; printed only"
+    )
     parser.add_argument("--device", help="cpu or cuda (default: cuda where there is one)")
 
 
@@ -131,14 +134,23 @@ def _recordings(arguments: argparse.Namespace) -> None:
 
 
 def _study(arguments: argparse.Namespace) -> Study:
+    from model_export.baselines.catalogue import cards
+    from model_export.baselines.shipped import SHIPPED
     from model_export.experiments.study import Study
 
+    if arguments.methods and arguments.out:
+        raise ValueError("--methods only prints: leave --out out")
+    known = [*cards(), *SHIPPED]
+    for name in arguments.methods:
+        if name not in known:
+            raise ValueError(f"no method is named {name!r}: {', '.join(known)}")
     return Study(
         arguments.runs / arguments.scale,
         arguments.scale,
         arguments.speech_commands,
         arguments.workers,
         arguments.device or ("cuda" if torch.cuda.is_available() else "cpu"),
+        tuple(arguments.methods),
     )
 
 

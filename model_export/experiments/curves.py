@@ -27,9 +27,9 @@ def training_share(study: Study, figures: Path) -> Finding:
     curves: dict[str, list[float]] = {}
     for percent in paper.SHARES:
         variant: dict[str, object] = {"share": percent / 100}
-        contenders = matched_contenders(**variant)
         plain = Contender(WITHOUT_SSCL, replace(NEURALMUSIC, pretrained=False, share=percent / 100))
-        for label, found in study.scored([*contenders, plain], [cell]).items():
+        contenders = study.only([*matched_contenders(**variant), plain])
+        for label, found in study.scored(contenders, [cell]).items():
             curves.setdefault(label, []).append(found[cell]["maae_deg"])
     reported = {**paper.SHARE, WITHOUT_SSCL: paper.SHARE["neuralmusic without SSCL"]}
     name = draw_curves(figures, "training-share", "percent of the training scenes", paper.SHARES,
@@ -47,7 +47,7 @@ def snr(study: Study, figures: Path) -> Finding:
     """White noise added to the test scenes."""
     scenes = study.scale.sweep_scenes
     cells = [Cell("test-1", snr_db=float(level), first=scenes) for level in paper.SNRS_DB]
-    contenders = [*classical_contenders(), *matched_contenders()]
+    contenders = study.only([*classical_contenders(), *matched_contenders()])
     scores = study.scored(contenders, cells)
     curves = {label: [found[cell]["maae_deg"] for cell in cells] for label, found in scores.items()}
     name = draw_curves(figures, "snr", "SNR of the added noise in dB", paper.SNRS_DB, curves)

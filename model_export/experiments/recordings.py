@@ -81,7 +81,7 @@ def recordings(study: Study, name: str, folder: Path) -> Finding:
     train = f"{name} train"
     counts = _cut(study, name, task, folder)
     cells = {count: Cell(f"{name} test-{count}") for count in counts}
-    contenders = [*classical_contenders(), *matched_contenders(scenes=train)]
+    contenders = study.only([*classical_contenders(), *matched_contenders(scenes=train)])
     scores = study.scored(contenders, list(cells.values()))
     columns = task.reported
     rows = tuple(

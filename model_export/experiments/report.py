@@ -25,7 +25,8 @@ training: theirs are final.
 The array is the ReSpeaker square, the room the paper's (7 x 7 x 3 m, rigid walls, image order 4;
 0 to 4 in training), 30 dB, held-out speakers, sources at 0.5 to 2 m and at least 10 degrees apart;
 {test_scenes} scenes in a cell of the main table, {sweep_scenes} elsewhere. A missing estimate
-counts 90 degrees.
+counts 90 degrees. The command above a table makes all of it; with `--methods NAME` and without
+`--out` it makes one row.
 """
 
 

@@ -21,11 +21,12 @@ SCENE = 0
 
 def spectra(study: Study, figures: Path) -> Finding:
     """A polar spectrum per method and scene, with the talkers' directions."""
-    contenders = [*classical_contenders(), *matched_contenders()]
+    contenders = study.only([*classical_contenders(), *matched_contenders()])
     study.simulate(cell.scenes for cell in SHOWN)
     study.train(each.training for each in contenders if each.training)
     figure = Figure(figsize=(2.0 * len(SHOWN), 1.9 * len(contenders)), layout="constrained")
-    grid = figure.subplots(len(contenders), len(SHOWN), subplot_kw={"projection": "polar"})
+    projection = {"projection": "polar"}
+    grid = figure.subplots(len(contenders), len(SHOWN), squeeze=False, subplot_kw=projection)
     for row, contender in zip(grid, contenders, strict=True):
         for panel, cell in zip(row, SHOWN, strict=True):
             _draw(panel, study, contender, cell)

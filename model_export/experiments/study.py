@@ -58,6 +58,11 @@ class Contender:
         return self.training.key if self.training else self.label
 
     @property
+    def name(self) -> str:
+        """The method's name in the catalogue."""
+        return self.training.method if self.training else self.label
+
+    @property
     def counts(self) -> bool:
         """Whether it estimates the number of sources itself."""
         return self.label not in classical()
@@ -78,6 +83,8 @@ class Study:
     workers: int = 1
     device: str = "cpu"
     """That networks are trained on; answers are always computed on the CPU"""
+    methods: tuple[str, ...] = ()
+    """Names in the catalogue that are compared; none: all"""
 
     @property
     def scale(self) -> Scale:
@@ -122,6 +129,10 @@ class Study:
             each.label: {cell: found[self, each, _told(each, cell)] for cell in cells}
             for each in contenders
         }
+
+    def only(self, contenders: Sequence[Contender]) -> list[Contender]:
+        """Those of the contenders whose methods are asked for."""
+        return [each for each in contenders if not self.methods or each.name in self.methods]
 
     def run(self, training: Training) -> Path:
         """The folder of a training."""

@@ -34,3 +34,16 @@ def test_all_experiments_run_and_do_nothing_twice(
     assert main([*command[:1], "main", *command[2:]]) == 0
     assert {path: path.stat().st_mtime_ns for path in done} == done
     assert "Main table" in capsys.readouterr().out
+    assert main([*command[:1], "main", *command[2:-2], "--methods", "crnn", "music"]) == 0
+    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
+    assert [row.split(" | ")[0] for row in rows[1:4]] == ["| MUSIC", "| CRNN, cited", "| CRNN"]
+
+
+def test_rows_that_are_no_methods_are_refused(
+    corpus: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["experiments", "main", "--speech-commands", str(corpus)]
+    assert main([*command, "--methods", "musik"]) == 2
+    assert "no method is named 'musik': music" in capsys.readouterr().err
+    assert main([*command, "--methods", "music", "--out", "docs"]) == 2
+    assert "--methods only prints" in capsys.readouterr().err
