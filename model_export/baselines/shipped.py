@@ -26,6 +26,8 @@ class ShippedBundle:
     def __init__(self, bundle: Bundle) -> None:
         name = bundle.manifest.name
         self.card = Card(name, f"bundle {name}", "hybrid", f"docs/models/{name}.md")
+        self.bound = bundle.bound_array() is not None
+        """Whether it fits one array only"""
         self._bundle = bundle
         self._localizers: dict[str, Localizer] = {}
 

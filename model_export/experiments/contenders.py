@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from model_export.baselines.catalogue import cards, classical, learned
-from model_export.baselines.shipped import SHIPPED, shipped
+from model_export.baselines.shipped import shipped
 from model_export.experiments.study import Contender
 from model_export.experiments.training import Training
 
@@ -18,9 +18,13 @@ def classical_contenders(*, linear: bool = False) -> list[Contender]:
     return [Contender(name) for name, method in methods if linear or not method.card.linear_only]
 
 
-def shipped_contenders() -> list[Contender]:
-    """The service's own bundles, trained as docs/training.md says and not for the comparison."""
-    return [Contender(name) for name in SHIPPED]
+def shipped_contenders(*, any_array: bool = False) -> list[Contender]:
+    """The service's own bundles, trained as docs/training.md says and not for the comparison.
+
+    ``any_array`` leaves those out that are bound to one array.
+    """
+    bundles = shipped().values()
+    return [Contender(each.card.name) for each in bundles if not (any_array and each.bound)]
 
 
 def cited_contenders() -> list[Contender]:

@@ -12,6 +12,7 @@ from model_export.experiments.contenders import (
     NEURALMUSIC,
     classical_contenders,
     matched_contenders,
+    shipped_contenders,
     title,
 )
 from model_export.experiments.drawing import axes, save, style
@@ -47,7 +48,9 @@ def snr(study: Study, figures: Path) -> Finding:
     """White noise added to the test scenes."""
     scenes = study.scale.sweep_scenes
     cells = [Cell("test-1", snr_db=float(level), first=scenes) for level in paper.SNRS_DB]
-    contenders = study.only([*classical_contenders(), *matched_contenders()])
+    contenders = study.only(
+        [*classical_contenders(), *matched_contenders(), *shipped_contenders(any_array=True)]
+    )
     scores = study.scored(contenders, cells)
     curves = {label: [found[cell]["maae_deg"] for cell in cells] for label, found in scores.items()}
     name = draw_curves(figures, "snr", "SNR of the added noise in dB", paper.SNRS_DB, curves)

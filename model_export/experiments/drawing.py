@@ -10,8 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from model_export.baselines.catalogue import cards
+from model_export.baselines.shipped import SHIPPED
 
 OURS = "#d1495b"
+INK = "#1f2937"
 DPI = 130
 DASHES = ("--", ":", "-.", (0, (5, 1)))
 
@@ -29,6 +31,8 @@ def axes(x: str, y: str) -> tuple[Figure, Axes]:
 def style(label: str) -> dict[str, Any]:
     """A method's line: ours red, classical ones grey and dashed, others in colours of their own."""
     name = label.split(",")[0]
+    if name in SHIPPED:
+        return {"color": INK, "lw": 2.0, "marker": "."}
     card = cards().get(name)
     if name == "neuralmusic":
         dashes = "--" if "," in label else "-"

@@ -8,7 +8,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from model_export.experiments.cells import Cell
-from model_export.experiments.contenders import classical_contenders, matched_contenders, title
+from model_export.experiments.contenders import (
+    classical_contenders,
+    matched_contenders,
+    shipped_contenders,
+    title,
+)
 from model_export.experiments.drawing import save, style
 from model_export.experiments.finding import Finding
 from model_export.experiments.study import Contender, Study, heard
@@ -21,7 +26,9 @@ SCENE = 0
 
 def spectra(study: Study, figures: Path) -> Finding:
     """A polar spectrum per method and scene, with the talkers' directions."""
-    contenders = study.only([*classical_contenders(), *matched_contenders()])
+    contenders = study.only(
+        [*classical_contenders(), *matched_contenders(), *shipped_contenders(any_array=True)]
+    )
     study.simulate(cell.scenes for cell in SHOWN)
     study.train(each.training for each in contenders if each.training)
     figure = Figure(figsize=(2.0 * len(SHOWN), 1.9 * len(contenders)), layout="constrained")

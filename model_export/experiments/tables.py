@@ -126,7 +126,9 @@ def sparse_angles(study: Study) -> Finding:
 def transfer(study: Study) -> Finding:
     """Other rooms and arrays, before and after fine-tuning on one scene per direction."""
     cells = {place: Cell(place) for place in PLACES}
-    contenders = study.only([*classical_contenders(), *matched_contenders()])
+    contenders = study.only(
+        [*classical_contenders(), *matched_contenders(), *shipped_contenders(any_array=True)]
+    )
     before = study.scored(contenders, list(cells.values()))
     after: dict[str, list[Entry]] = {}
     for place, cell in cells.items():

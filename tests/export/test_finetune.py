@@ -214,6 +214,7 @@ def record_around(
     return folder
 
 
+@pytest.mark.learns
 def test_an_array_that_is_mounted_turned_is_found_out(
     weights: Path, tmp_path: Path, square: MicrophoneArray, plane_waves: Callable[..., FloatArray]
 ) -> None:
@@ -275,6 +276,7 @@ def test_only_the_parts_that_recordings_can_teach_change(
         assert torch.equal(statistics, before[name])
 
 
+@pytest.mark.learns
 def test_from_a_bundle_and_recordings_to_a_bundle(
     weights: Path, own_room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -305,6 +307,7 @@ def test_from_a_bundle_and_recordings_to_a_bundle(
     assert "exists already" in capsys.readouterr().err
 
 
+@pytest.mark.learns
 def test_a_worse_bundle_is_not_written(
     weights: Path,
     tmp_path: Path,

@@ -219,6 +219,7 @@ def onset_azimuth(response: FloatArray) -> float:
     return float(azimuth[np.argmax(np.max(aligned, axis=0))])
 
 
+@pytest.mark.learns
 def test_the_pipeline_learns_four_scenes() -> None:
     torch.manual_seed(0)
     task = RegressionTask(CONFIG)

@@ -210,6 +210,7 @@ def test_the_variant_needs_an_array_and_features_that_it_can_mask() -> None:
         SsclTask(replace(PAPER_SSCL, phase_reference="absolute"))
 
 
+@pytest.mark.learns
 def test_both_stages_run_from_the_command_line(
     corpus: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
