@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from model_export.bars import JUDGED
 from model_export.cells import Cell, small_room
 from model_export.evaluate import run
+from model_export.experiments.drawing import axes
 from model_export.methods import PEER
 from model_export.reliability import HIT_DEG, Reliability
 from model_export.results import Results
@@ -73,39 +73,30 @@ def draw(folder: Path, workers: Workers, scenes: int, results: Results) -> list[
 def _sweep_figure(sweep: Sweep, workers: Workers, scenes: int) -> Figure:
     cells = [Cell(f"{sweep.name} {x:g}", protocol) for x, protocol in sweep.points.items()]
     swept = run(workers, scenes, cells=cells)
-    figure, axes = _axes(sweep.label, "mean absolute angular error in degrees")
+    figure, panel = axes(sweep.label, "mean absolute angular error in degrees")
     for method in swept.cells[cells[0].name]:
         if method in COLOURS:
             errors = [swept.cells[cell.name][method]["maae_deg"] for cell in cells]
             points = list(sweep.points)
-            axes.plot(points, errors, "o-", color=COLOURS[method], label=method, lw=2)
-    axes.set_yscale("log")
-    axes.set_ylim(0.2, 100)
-    axes.set_yticks([0.3, 1, 3, 10, 30, 90], ["0.3", "1", "3", "10", "30", "90"])
-    axes.legend(frameon=False)
-    axes.set_title(f"{scenes} scenes a point, held-out speakers, count known", fontsize=9)
+            panel.plot(points, errors, "o-", color=COLOURS[method], label=method, lw=2)
+    panel.set_yscale("log")
+    panel.set_ylim(0.2, 100)
+    panel.set_yticks([0.3, 1, 3, 10, 30, 90], ["0.3", "1", "3", "10", "30", "90"])
+    panel.legend(frameon=False)
+    panel.set_title(f"{scenes} scenes a point, held-out speakers, count known", fontsize=9)
     return figure
 
 
 def _reliability_figure(reliability: Reliability) -> Figure:
-    figure, axes = _axes("confidence", f"share within {HIT_DEG:g} degrees of a talker")
-    axes.plot([0, 1], [0, 1], ":", color="#9aa5b1")
+    figure, panel = axes("confidence", f"share within {HIT_DEG:g} degrees of a talker")
+    panel.plot([0, 1], [0, 1], ":", color="#9aa5b1")
     for bin_ in reliability.bins:
         size = 20 + 300 * bin_.sources / reliability.sources
-        axes.scatter(bin_.mean_confidence, bin_.share_right, s=size, color="#d1495b")
-    axes.set(xlim=(0, 1.02), ylim=(0, 1.02))
-    axes.set_title(
+        panel.scatter(bin_.mean_confidence, bin_.share_right, s=size, color="#d1495b")
+    panel.set(xlim=(0, 1.02), ylim=(0, 1.02))
+    panel.set_title(
         f"{reliability.sources} reported sources, -5 to 30 dB, 1 to 3 talkers, count unknown; "
         "larger: more of them",
         fontsize=9,
     )
     return figure
-
-
-def _axes(x: str, y: str) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
-    axes = figure.add_subplot()
-    axes.set(xlabel=x, ylabel=y)
-    axes.grid(alpha=0.25)
-    axes.spines[["top", "right"]].set_visible(False)
-    return figure, axes

@@ -6,24 +6,15 @@ matrix, takes MUSIC's noise subspace of it and finds the spectrum's peaks with a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor, nn
 
 from model_export.baselines.bands import (
-    CITED_BANDS,
-    MATCHED_BANDS,
-    band_bins,
-    band_snapshots,
     hermitian_planes,
-    matched_snapshots,
 )
 from model_export.baselines.method import Card
-from model_export.baselines.music import HybridNetwork, Music, PeakFinder
-from model_export.baselines.network import Prediction, scaled
-from service.doa.array import MicrophoneArray
-from service.doa.types import FloatArray
+from model_export.baselines.music import BandTrunk, PeakFindingNetwork
+from model_export.baselines.network import scaled
 
 CARD = Card(
     "da_music",
@@ -54,44 +45,20 @@ class SnapshotGru(nn.Module):
         return hermitian_planes(self.matrix(last[0]).unflatten(-1, self.shape))
 
 
-class DaMusicTrunk(nn.Module):
-    """The GRU on the matched track's features, in ``MATCHED_BANDS`` bands."""
-
-    bins: Sequence[int] = band_bins(MATCHED_BANDS)
+class DaMusicTrunk(BandTrunk):
+    """The GRU on the matched track's features."""
 
     def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:
-        super().__init__()
-        self.covariance = SnapshotGru(num_microphones, len(self.bins), width)
-
-    def forward(self, features: Tensor) -> Tensor:
-        with torch.autocast(features.device.type, enabled=False):
-            covariance: Tensor = self.covariance(
-                torch.view_as_real(matched_snapshots(features, self.bins))
-            )
-        return covariance
+        network = SnapshotGru(num_microphones, len(self.bins), width)
+        super().__init__(network, torch.view_as_real)
 
 
-class DaMusic(HybridNetwork):
-    """DA-MUSIC as cited: snapshots in, directions out."""
+class DaMusic(PeakFindingNetwork):
+    """DA-MUSIC as cited."""
 
     card = CARD
-    bins: Sequence[int] = band_bins(CITED_BANDS)
 
     def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:
         bands = len(self.bins)
-        super().__init__(
-            SnapshotGru(num_microphones, bands, width), Music(num_microphones, self.bins)
-        )
-        self.peaks = PeakFinder(scaled(2 * num_microphones * bands, width))
-
-    def features(self, audio: FloatArray) -> FloatArray:
-        """(B, N, K, 64, 2) real and imaginary parts."""
-        parts: FloatArray = torch.view_as_real(band_snapshots(audio, self.bins)).numpy()
-        return parts
-
-    def forward(
-        self, features: Tensor, array: MicrophoneArray, counts: Tensor | None = None
-    ) -> Prediction:
-        result = self.music_of(features, array, counts)
-        angles = self.peaks(result.spectrum.mean(1))
-        return Prediction(result.count, angles=angles, projector=result.projector)
+        hidden = scaled(2 * num_microphones * bands, width)
+        super().__init__(SnapshotGru(num_microphones, bands, width), num_microphones, hidden)

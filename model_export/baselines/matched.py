@@ -30,55 +30,58 @@ def matched_features(audio: FloatArray) -> FloatArray:
     return spectrogram_features(STFT.transform(audio)[..., :NUM_FRAMES])
 
 
-class MatchedSpectrum(BaselineNetwork):
-    """A trunk, one linear layer to 360 angles, and the paper's count branch."""
+class MatchedNetwork(BaselineNetwork):
+    """A trunk beside the paper's count branch."""
 
     def __init__(self, trunk: nn.Module, num_microphones: int, card: Card) -> None:
         super().__init__()
         self.card = card  # type: ignore[misc]
         self.trunk = trunk
-        self.spectrum = spectrum_layer(trunk.outputs)  # type: ignore[arg-type]
         self.count = SourceCountNetwork(num_microphones, MAX_SOURCES)
 
     def features(self, audio: FloatArray) -> FloatArray:
         return matched_features(audio)
 
-    def forward(
-        self, features: Tensor, array: MicrophoneArray, counts: Tensor | None = None
-    ) -> Prediction:
+    def both(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """What the trunk gives and the count's logits, float32."""
         # bfloat16 halves the convolutions' cost on a CPU.
         with torch.autocast(features.device.type, torch.bfloat16, enabled=self.training):
             features = features.contiguous(memory_format=torch.channels_last)
-            embedding, logits = self.trunk(features), self.count(features)
-        spectrum = torch.sigmoid(self.spectrum(embedding.float()))
-        return Prediction(logits.float(), spectrum=spectrum)
+            found, logits = self.trunk(features), self.count(features)
+        return found.float(), logits.float()
 
 
-class MatchedSubspace(BaselineNetwork):
-    """A trunk that estimates covariances, MUSIC behind it, and the paper's count branch."""
+class MatchedSpectrum(MatchedNetwork):
+    """A trunk that gives an embedding, and one linear layer to 360 angles."""
+
+    def __init__(self, trunk: nn.Module, num_microphones: int, card: Card) -> None:
+        super().__init__(trunk, num_microphones, card)
+        self.spectrum = spectrum_layer(trunk.outputs)  # type: ignore[arg-type]
+
+    def forward(
+        self, features: Tensor, array: MicrophoneArray, counts: Tensor | None = None
+    ) -> Prediction:
+        embedding, logits = self.both(features)
+        return Prediction(logits, spectrum=torch.sigmoid(self.spectrum(embedding)))
+
+
+class MatchedSubspace(MatchedNetwork):
+    """A trunk that estimates covariances, and MUSIC and FAF behind it."""
 
     steered = True
 
     def __init__(
         self, trunk: nn.Module, num_microphones: int, card: Card, *, attention: bool = True
     ) -> None:
-        super().__init__()
-        self.card = card  # type: ignore[misc]
-        self.trunk = trunk
-        self.count = SourceCountNetwork(num_microphones, MAX_SOURCES)
+        super().__init__(trunk, num_microphones, card)
         self.frequencies = STFT.frequencies[np.asarray(trunk.bins)]
         self.fusion = FrequencyAttentionFusion(len(self.frequencies)) if attention else None
         self.log_floor = nn.Parameter(torch.tensor(LOG_FLOOR))
 
-    def features(self, audio: FloatArray) -> FloatArray:
-        return matched_features(audio)
-
     def forward(
         self, features: Tensor, array: MicrophoneArray, counts: Tensor | None = None
     ) -> Prediction:
-        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.training):
-            features = features.contiguous(memory_format=torch.channels_last)
-            parts, logits = self.trunk(features).float(), self.count(features).float()
+        parts, logits = self.both(features)
         covariance = torch.complex(parts[:, :, 0], parts[:, :, 1])  # (B, F, N, N)
         projector = counted_projector(covariance, logits.argmax(-1) if counts is None else counts)
         floor = self.log_floor.exp()

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from model_export.baselines.network import GRID_SIZE, MAX_SOURCES, BaselineNetwork
+from model_export.baselines.bands import (
+    CITED_BANDS,
+    MATCHED_BANDS,
+    band_bins,
+    band_snapshots,
+    matched_snapshots,
+)
+from model_export.baselines.network import GRID_SIZE, MAX_SOURCES, BaselineNetwork, Prediction
 from model_export.regression import counted_projector
 from model_export.subspace import delay_products, signal_power
 from model_export.tasks import STFT, steering_delays
@@ -108,15 +115,51 @@ class EigenvalueCount(nn.Module):
         return logits
 
 
+class BandTrunk(nn.Module):
+    """A covariance network on the matched track's features, in ``MATCHED_BANDS`` bands.
+
+    Parameters
+    ----------
+    covariance : Module
+        What the network sees to real and imaginary parts (B, K, 2, N, N).
+    sees : callable
+        Snapshots (B, N, K, L) complex to what it sees of them.
+    """
+
+    bins: Sequence[int] = band_bins(MATCHED_BANDS)
+
+    def __init__(self, covariance: nn.Module, sees: Callable[[Tensor], Tensor]) -> None:
+        super().__init__()
+        self.covariance = covariance
+        self._sees = sees
+
+    def forward(self, features: Tensor) -> Tensor:
+        with torch.autocast(features.device.type, enabled=False):
+            snapshots = matched_snapshots(features, self.bins)
+            covariance: Tensor = self.covariance(self._sees(snapshots))
+        return covariance
+
+
 class HybridNetwork(BaselineNetwork):
-    """A network that estimates the covariances of K bands, and MUSIC on them."""
+    """A network that estimates the covariances of K bands, and MUSIC on them.
+
+    Parameters as those of ``BandTrunk``; features are what the network sees of ``CITED_BANDS``.
+    """
 
     steered = True
+    bins: Sequence[int] = band_bins(CITED_BANDS)
 
-    def __init__(self, covariance: nn.Module, music: Music) -> None:
+    def __init__(
+        self, covariance: nn.Module, music: Music, sees: Callable[[Tensor], Tensor]
+    ) -> None:
         super().__init__()
         self.covariance = covariance
         self.music = music
+        self._sees = sees
+
+    def features(self, audio: FloatArray) -> FloatArray:
+        seen: FloatArray = self._sees(band_snapshots(audio, self.bins)).numpy()
+        return seen
 
     def music_of(
         self, features: Tensor, array: MicrophoneArray, counts: Tensor | None = None
@@ -124,6 +167,24 @@ class HybridNetwork(BaselineNetwork):
         """MUSIC on the covariances (B, K, 2, N, N) that features (B, ...) are mapped to."""
         result: MusicResult = self.music(self.covariance(features), array, counts)
         return result
+
+
+class PeakFindingNetwork(HybridNetwork):
+    """Snapshots in, directions out: a small network finds the peaks of MUSIC's spectrum.
+
+    Features are the snapshots' real and imaginary parts (B, N, K, 64, 2).
+    """
+
+    def __init__(self, covariance: nn.Module, num_microphones: int, hidden: int) -> None:
+        super().__init__(covariance, Music(num_microphones, self.bins), torch.view_as_real)
+        self.peaks = PeakFinder(hidden)
+
+    def forward(
+        self, features: Tensor, array: MicrophoneArray, counts: Tensor | None = None
+    ) -> Prediction:
+        result = self.music_of(features, array, counts)
+        angles = self.peaks(result.spectrum.mean(1))
+        return Prediction(result.count, angles=angles, projector=result.projector)
 
 
 class PeakFinder(nn.Module):

@@ -7,27 +7,19 @@ construction, to a differentiable subspace method.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from model_export.baselines.bands import (
-    CITED_BANDS,
-    MATCHED_BANDS,
-    band_bins,
-    band_snapshots,
     gram_planes,
     lagged_covariances,
-    matched_snapshots,
     planes,
 )
 from model_export.baselines.method import Card
-from model_export.baselines.music import HybridNetwork, Music
+from model_export.baselines.music import BandTrunk, HybridNetwork, Music
 from model_export.baselines.network import COUNT_WEIGHT, Prediction, Truth, count_loss, scaled
 from service.doa.array import MicrophoneArray
-from service.doa.types import FloatArray
 
 CARD = Card(
     "subspacenet",
@@ -83,38 +75,26 @@ class AutocorrelationNetwork(nn.Module):
         return gram_planes(root, LOADING)
 
 
-class SubspaceNetTrunk(nn.Module):
+def autocorrelations(snapshots: Tensor) -> Tensor:
+    """(B, K, lags, 2, N, N) of snapshots (B, N, K, L)."""
+    return planes(lagged_covariances(snapshots, LAGS))
+
+
+class SubspaceNetTrunk(BandTrunk):
     """The autoencoder on autocorrelations of the matched track's features."""
 
-    bins: Sequence[int] = band_bins(MATCHED_BANDS)
-
     def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:
-        super().__init__()
-        self.covariance = AutocorrelationNetwork(num_microphones, width)
-
-    def forward(self, features: Tensor) -> Tensor:
-        with torch.autocast(features.device.type, enabled=False):
-            snapshots = matched_snapshots(features, self.bins)
-            covariance: Tensor = self.covariance(planes(lagged_covariances(snapshots, LAGS)))
-        return covariance
+        super().__init__(AutocorrelationNetwork(num_microphones, width), autocorrelations)
 
 
 class SubspaceNet(HybridNetwork):
     """SubspaceNet as cited: autocorrelations in, a MUSIC spectrum out."""
 
     card = CARD
-    bins: Sequence[int] = band_bins(CITED_BANDS)
 
     def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:
-        super().__init__(
-            AutocorrelationNetwork(num_microphones, width), Music(num_microphones, self.bins)
-        )
-
-    def features(self, audio: FloatArray) -> FloatArray:
-        """(B, K, lags, 2, N, N)."""
-        snapshots = band_snapshots(audio, self.bins)
-        tensor: FloatArray = planes(lagged_covariances(snapshots, LAGS)).numpy()
-        return tensor
+        network = AutocorrelationNetwork(num_microphones, width)
+        super().__init__(network, Music(num_microphones, self.bins), autocorrelations)
 
     def forward(
         self, features: Tensor, array: MicrophoneArray, counts: Tensor | None = None

@@ -8,24 +8,15 @@ not know the order.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor, nn
 
 from model_export.baselines.bands import (
-    CITED_BANDS,
-    MATCHED_BANDS,
-    band_bins,
-    band_snapshots,
     gram_planes,
-    matched_snapshots,
 )
 from model_export.baselines.method import Card
-from model_export.baselines.music import HybridNetwork, Music, PeakFinder
-from model_export.baselines.network import Prediction, scaled
-from service.doa.array import MicrophoneArray
-from service.doa.types import FloatArray
+from model_export.baselines.music import BandTrunk, PeakFindingNetwork
+from model_export.baselines.network import scaled
 
 CARD = Card(
     "transmusic",
@@ -70,45 +61,19 @@ class SnapshotTransformer(nn.Module):
         return gram_planes(self.root(self.normalise(encoded)).unflatten(-1, self.shape), LOADING)
 
 
-class TransMusicTrunk(nn.Module):
-    """The transformer on the matched track's features, in ``MATCHED_BANDS`` bands."""
-
-    bins: Sequence[int] = band_bins(MATCHED_BANDS)
+class TransMusicTrunk(BandTrunk):
+    """The transformer on the matched track's features."""
 
     def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:
-        super().__init__()
-        self.covariance = SnapshotTransformer(num_microphones, len(self.bins), width)
-
-    def forward(self, features: Tensor) -> Tensor:
-        with torch.autocast(features.device.type, enabled=False):
-            covariance: Tensor = self.covariance(
-                torch.view_as_real(matched_snapshots(features, self.bins))
-            )
-        return covariance
+        network = SnapshotTransformer(num_microphones, len(self.bins), width)
+        super().__init__(network, torch.view_as_real)
 
 
-class TransMusic(HybridNetwork):
-    """TransMUSIC as cited: snapshots in, directions out."""
+class TransMusic(PeakFindingNetwork):
+    """TransMUSIC as cited."""
 
     card = CARD
-    learning_rate = 1e-3
-    bins: Sequence[int] = band_bins(CITED_BANDS)
 
     def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:
-        super().__init__(
-            SnapshotTransformer(num_microphones, len(self.bins), width),
-            Music(num_microphones, self.bins),
-        )
-        self.peaks = PeakFinder(scaled(SIZE, width))
-
-    def features(self, audio: FloatArray) -> FloatArray:
-        """(B, N, K, 64, 2) real and imaginary parts."""
-        parts: FloatArray = torch.view_as_real(band_snapshots(audio, self.bins)).numpy()
-        return parts
-
-    def forward(
-        self, features: Tensor, array: MicrophoneArray, counts: Tensor | None = None
-    ) -> Prediction:
-        result = self.music_of(features, array, counts)
-        angles = self.peaks(result.spectrum.mean(1))
-        return Prediction(result.count, angles=angles, projector=result.projector)
+        network = SnapshotTransformer(num_microphones, len(self.bins), width)
+        super().__init__(network, num_microphones, scaled(SIZE, width))

@@ -6,28 +6,20 @@ poolings, which is what matrices of a few microphones allow.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from model_export.baselines.bands import (
-    CITED_BANDS,
-    MATCHED_BANDS,
-    band_bins,
-    band_snapshots,
     hermitian_planes,
     ideal_covariance,
     lagged_covariances,
-    matched_snapshots,
     planes,
 )
 from model_export.baselines.method import Card
-from model_export.baselines.music import HybridNetwork, Music
+from model_export.baselines.music import BandTrunk, HybridNetwork, Music
 from model_export.baselines.network import COUNT_WEIGHT, Prediction, Truth, count_loss, scaled
 from service.doa.array import MicrophoneArray
-from service.doa.types import FloatArray
 
 CARD = Card(
     "unet_rootmusic",
@@ -76,42 +68,29 @@ class CovarianceUNet(nn.Module):
         return hermitian_planes(parts)
 
 
-class UNetRootMusicTrunk(nn.Module):
+def sample_planes(snapshots: Tensor) -> Tensor:
+    """Sample covariances (B, K, 2, N, N) of snapshots (B, N, K, L)."""
+    return planes(lagged_covariances(snapshots, 1)[:, :, 0])
+
+
+class UNetRootMusicTrunk(BandTrunk):
     """The U-Net on sample covariances of the matched track's features.
 
     The matched losses leave it to the network what its covariances are.
     """
 
-    bins: Sequence[int] = band_bins(MATCHED_BANDS)
-
     def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:
-        super().__init__()
-        self.covariance = CovarianceUNet(len(self.bins), width)
-
-    def forward(self, features: Tensor) -> Tensor:
-        with torch.autocast(features.device.type, enabled=False):
-            sample = lagged_covariances(matched_snapshots(features, self.bins), 1)[:, :, 0]
-            covariance: Tensor = self.covariance(planes(sample))
-        return covariance
+        super().__init__(CovarianceUNet(len(self.bins), width), sample_planes)
 
 
 class UNetRootMusic(HybridNetwork):
     """UNet-rootMUSIC as cited: trained on covariances; MUSIC comes after training."""
 
     card = CARD
-    bins: Sequence[int] = band_bins(CITED_BANDS)
 
     def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:
-        super().__init__(
-            CovarianceUNet(len(self.bins), width),
-            Music(num_microphones, self.bins, learned_floor=False),
-        )
-
-    def features(self, audio: FloatArray) -> FloatArray:
-        """(B, K, 2, N, N)."""
-        sample = lagged_covariances(band_snapshots(audio, self.bins), 1)[:, :, 0]
-        parts: FloatArray = planes(sample).numpy()
-        return parts
+        music = Music(num_microphones, self.bins, learned_floor=False)
+        super().__init__(CovarianceUNet(len(self.bins), width), music, sample_planes)
 
     def forward(
         self, features: Tensor, array: MicrophoneArray, counts: Tensor | None = None

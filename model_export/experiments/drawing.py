@@ -1,4 +1,4 @@
-"""How the experiments' figures look."""
+"""How the figures of evaluation and experiments look."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DASHES = ("--", ":", "-.", (0, (5, 1)))
 
 def axes(x: str, y: str) -> tuple[Figure, Axes]:
     """A figure with one pair of axes."""
-    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
+    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
     panel = figure.add_subplot()
     panel.set(xlabel=x, ylabel=y)
     panel.grid(alpha=0.25)
