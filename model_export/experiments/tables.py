@@ -147,8 +147,8 @@ def transfer(study: Study) -> Finding:
         "Room B: 5 x 4 x 2.8 m, RT60 0.35 s; room C: 10 x 8 x 3.5 m, RT60 0.6 s, both with the "
         "array of the training. Array B: a ring of four microphones, radius 50 mm; array C: an "
         "irregular one, 9 cm across (`docs/results.json` has its positions), both in the room of "
-        "the training. The paper does not say what its B and C are. Array B is turned by 45 degrees "
-        "against the array of the training, and by that much do networks err there that know no "
+        "the training. The paper does not say what its B and C are. Array B is turned by 45 "
+        "degrees against the array of the training, and by that much do networks err that know no "
         "steering vectors; the others know where the microphones are, but most have learned to "
         "make covariances of the one array only. `any-array` was trained on none of these arrays."
     )

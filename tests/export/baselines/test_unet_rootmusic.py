@@ -49,4 +49,4 @@ def test_it_learns_as_cited(scenes: list[SimulatedScene]) -> None:
 
 @pytest.mark.learns
 def test_it_learns_in_the_matched_track(scenes: list[SimulatedScene]) -> None:
-    assert overfitted(hybrid_methods()["unet-rootmusic"].matched(4, width=0.5), scenes, 80) < 3.0
+    assert overfitted(hybrid_methods()["unet_rootmusic"].matched(4, width=0.5), scenes, 80) < 3.0
