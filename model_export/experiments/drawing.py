@@ -43,8 +43,8 @@ def style(label: str) -> dict[str, Any]:
     return {"color": colormaps["tab10"]((place - 9) % 10), "lw": 1.4, "marker": "."}
 
 
-def save(figure: Figure, folder: Path, name: str) -> str:
+def save(figure: Figure, folder: Path, name: str, dpi: int = DPI) -> str:
     """Write ``<name>.png``; returns the file's name."""
     folder.mkdir(parents=True, exist_ok=True)
-    figure.savefig(folder / f"{name}.png", dpi=DPI)
+    figure.savefig(folder / f"{name}.png", dpi=dpi)
     return f"{name}.png"

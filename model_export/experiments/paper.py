@@ -49,7 +49,7 @@ SHARES = (20, 40, 60, 80, 100)
 """Percent of the training data"""
 SHARE: Mapping[str, tuple[float, ...]] = {
     "neuralmusic": (2.22, 1.75, 1.59, 1.51, 1.41),
-    "neuralmusic without SSCL": (2.61, 2.1, 1.85, 1.62, 1.53),
+    "neuralmusic, without SSCL": (2.61, 2.1, 1.85, 1.62, 1.53),
     "doanet": (3.74, 2.45, 1.91, 1.59, 1.48),
     "deepmusic": (5.17, 3.84, 3.63, 3.07, 2.38),
     "deepdae": (8.4, 5.73, 4.94, 4.36, 4.05),

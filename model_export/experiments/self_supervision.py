@@ -71,7 +71,7 @@ def reconstructions(study: Study, figures: Path) -> Finding:
         row[0].set_ylabel(f"{MASKS[kind]}\nbin", fontsize=8)
     for panel, heading in zip(grid[0], ("masked", "reconstructed", "true"), strict=True):
         panel.set_title(heading, fontsize=9)
-    name = save(figure, figures, "sscl-reconstructions")
+    name = save(figure, figures, "sscl-reconstructions", dpi=80)
     text = (
         "Microphone 0 of the first test scene, masked in three ways, and its reconstruction from "
         "the other three microphones; levels in dB. The table has the share of the masked power "

@@ -40,7 +40,7 @@ def spectra(study: Study, figures: Path) -> Finding:
         row[0].set_ylabel(title(contender.label), fontsize=7, labelpad=18)
     for panel, heading in zip(grid[0], ("M=1", "M=2", "M=3", "M=1, 0 dB"), strict=True):
         panel.set_title(heading, fontsize=9)
-    name = save(figure, figures, "spectra")
+    name = save(figure, figures, "spectra", dpi=90)
     text = (
         "Spectra of the first scene of each test set, scaled to their own range; red lines are the "
         "talkers, dots the method's answer with the count known. Methods without a spectrum show "
