@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import re
+from dataclasses import asdict
 from pathlib import Path
 from typing import get_args
 
 import pytest
 
+from model_export.experiments.command import NAMES, RECORDINGS
+from model_export.experiments.report import section
+from model_export.experiments.scale import SCALES
 from model_export.results import BEGIN, END, Results
 from service.client import errors as client_errors  # noqa: F401  (part of the tree)
 from service.doa.diagnostics import FindingCode
@@ -20,7 +24,9 @@ RESULTS = Results.read(ROOT / "docs" / "results.json")
 
 
 def test_the_result_tables_are_those_of_the_results() -> None:
-    assert (ROOT / "docs" / "results.md").read_text() == RESULTS.document()
+    comparison = section(ROOT / "docs", [*NAMES, *RECORDINGS], asdict(SCALES["small"]))
+    written = (ROOT / "docs" / "results.md").read_text()
+    assert written == f"{RESULTS.document()}\n{comparison}"
 
 
 def test_the_table_of_the_readme_is_that_of_the_results() -> None:
