@@ -120,7 +120,9 @@ def sparse_angles(study: Study) -> Finding:
     text = (
         "One talker, error in degrees of networks whose training held only directions that are "
         "multiples of 1, 5 or 10 degrees (the symmetries of the array and, for the steered "
-        "networks, turns of array and labels are left on; the paper turns them off)."
+        "networks, turns of array and labels are left on; the paper turns them off). At the scale "
+        "`small` NeuralMUSIC's row tells how far an unfinished training happened to come, not of "
+        "directions."
     )
     columns = ("method", "all", "5°", "10°", "paper 5°", "paper 10°")
     return Finding(text, (Table(columns, rows),))
