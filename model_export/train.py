@@ -20,10 +20,13 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch.utils.data import DataLoader
 
 from model_export.config import TrainingConfig
+from model_export.fitting import CHECKPOINT, Fitting, checkpoint
 from model_export.streams import SceneSource, SceneStream
 from model_export.tasks import Batch, Task, task_of
 
 VALIDATION_BATCHES = 8
+WARM_UP = 200
+"""Steps in which the learning rate rises"""
 
 
 def train(
@@ -54,26 +57,25 @@ def train(
     optimizer = torch.optim.AdamW(
         task.model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
     )
-    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, _cosine(config.steps))
-    step = _resume(run, config, task, optimizer, schedule)
-    if step >= config.steps:
+    _describe(run, config)
+    fitting = Fitting(task.model, optimizer, config.steps, WARM_UP, run)
+    if fitting.step >= config.steps:
         task.model.cpu().eval()
         return task
-    stream = SceneStream(config, scenes, first_step=step)
+    stream = SceneStream(config, scenes, first_step=fitting.step)
     loader = iter(DataLoader(stream, batch_size=None, num_workers=workers, prefetch_factor=4))
     validation = [on(device, b) for b in _validation_batches(config, validation_scenes)]
     running: dict[str, float] = {}
-    with _progress(config, step) as (progress, bar):
-        while step < config.steps:
-            losses = _optimize(task, on(device, next(loader)), optimizer, schedule)
+    with _progress(config, fitting.step) as (progress, bar):
+        while fitting.step < config.steps:
+            losses = _optimize(fitting, task, on(device, next(loader)))
             for name, value in losses.items():
                 running[name] = 0.98 * running.get(name, value) + 0.02 * value
-            step += 1
-            progress.update(bar, completed=step, loss=running["loss"])
-            if step % config.checkpoint_every == 0 or step == config.steps:
+            progress.update(bar, completed=fitting.step, loss=running["loss"])
+            if fitting.step % config.checkpoint_every == 0 or fitting.step == config.steps:
                 scores = _validate(task, validation)
-                _write_curves(run, step, running, scores)
-                _checkpoint(run, step, task, optimizer, schedule)
+                _write_curves(run, fitting.step, running, scores)
+                fitting.save()
     task.model.cpu().eval()
     return task
 
@@ -97,29 +99,20 @@ def _start_from(config: TrainingConfig, task: Task, init: Path | None) -> None:
 
 def load_run(run: Path) -> tuple[TrainingConfig, Task, int]:
     """A run's configuration, its task with the checkpoint's parameters, and the step."""
-    if not (run / "checkpoint.pt").exists():
-        raise FileNotFoundError(f"{run} holds no checkpoint.pt: train first")
+    if not (run / CHECKPOINT).exists():
+        raise FileNotFoundError(f"{run} holds no {CHECKPOINT}: train first")
     config = TrainingConfig.from_dict(json.loads((run / "config.json").read_text()))
     task = task_of(config)
-    state = torch.load(run / "checkpoint.pt", weights_only=True, map_location="cpu")
+    state = checkpoint(run)
     task.model.load_state_dict(state["model"])
     task.model.eval()
     return config, task, int(state["step"])
 
 
-def _optimize(
-    task: Task,
-    batch: Batch,
-    optimizer: torch.optim.Optimizer,
-    schedule: torch.optim.lr_scheduler.LRScheduler,
-) -> dict[str, float]:
+def _optimize(fitting: Fitting, task: Task, batch: Batch) -> dict[str, float]:
     task.model.train()
     losses = task.losses(batch)
-    optimizer.zero_grad(set_to_none=True)
-    losses["loss"].backward()
-    torch.nn.utils.clip_grad_norm_(task.model.parameters(), 1.0)
-    optimizer.step()
-    schedule.step()
+    fitting.optimize(losses["loss"])
     return {name: float(value.detach()) for name, value in losses.items()}
 
 
@@ -135,40 +128,12 @@ def _validation_batches(config: TrainingConfig, scenes: SceneSource) -> list[Bat
     return [next(stream) for _ in range(VALIDATION_BATCHES)]
 
 
-def _cosine(steps: int) -> Any:
-    def factor(step: int) -> float:
-        warm_up = min(1.0, (step + 1) / 200)
-        return warm_up * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(1.0, step / steps))))
-
-    return factor
-
-
-def _resume(run: Path, config: TrainingConfig, task: Task, optimizer: Any, schedule: Any) -> int:
+def _describe(run: Path, config: TrainingConfig) -> None:
     settings = json.loads(json.dumps(config.as_dict()))
     described = run / "config.json"
     if described.exists() and json.loads(described.read_text()) != settings:
         raise ValueError(f"{run} holds a run with other settings: name another folder")
     described.write_text(json.dumps(settings, indent=2) + "\n")
-    path = run / "checkpoint.pt"
-    if not path.exists():
-        return 0
-    state = torch.load(path, weights_only=True, map_location="cpu")
-    task.model.load_state_dict(state["model"])
-    optimizer.load_state_dict(state["optimizer"])
-    schedule.load_state_dict(state["schedule"])
-    return int(state["step"])
-
-
-def _checkpoint(run: Path, step: int, task: Task, optimizer: Any, schedule: Any) -> None:
-    unfinished = run / "checkpoint.part"
-    state = {
-        "step": step,
-        "model": task.model.state_dict(),
-        "optimizer": optimizer.state_dict(),
-        "schedule": schedule.state_dict(),
-    }
-    torch.save(state, unfinished)
-    unfinished.rename(run / "checkpoint.pt")
 
 
 def _write_curves(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from model_export.noise import sensor_noise
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray, IntArray
 
@@ -17,8 +18,7 @@ SYMMETRIC = 1e-4
 def white_noise(rng: np.random.Generator, audio: FloatArray, snr_db: float) -> FloatArray:
     """Audio (N, T) with white noise at this ratio to its mean power over microphones and time."""
     sigma = np.sqrt(np.mean(np.square(audio)) * 10 ** (-snr_db / 10))
-    noise = rng.standard_normal(audio.shape, dtype=np.float32)
-    noisy: FloatArray = audio + np.float32(sigma) * noise
+    noisy: FloatArray = audio + np.float32(sigma) * sensor_noise(rng, audio.shape)
     return noisy
 
 

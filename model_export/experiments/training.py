@@ -17,6 +17,7 @@ from model_export.baselines.network import BaselineNetwork, Truth
 from model_export.config import PAPER_SSCL
 from model_export.experiments.augmentation import sometimes_noisy, symmetries
 from model_export.experiments.scene_set import SceneSet
+from model_export.fitting import Fitting, checkpoint
 from model_export.scenes import Scene
 from model_export.sscl import SsclTask
 from model_export.train import on
@@ -89,7 +90,7 @@ def fit(
     per_epoch = max(1, len(scenes) // budget.batch_size)
     steps = budget.epochs * per_epoch
     network.to(device)
-    fitting = _Fitting(network, network.learning_rate * budget.rate, steps, run)
+    fitting = _Curve(network, network.learning_rate * budget.rate, steps, run)
     turns = symmetries(scenes.array)
     network.train()
     while fitting.step < steps:
@@ -118,7 +119,7 @@ def pretrain(
     task.model.to(device).train()
     size = min(budget.batch_size, len(scenes))
     steps = budget.epochs * max(1, len(scenes) // size)
-    fitting = _Fitting(task.model, PAPER_SSCL.learning_rate * budget.rate, steps, run)
+    fitting = _Curve(task.model, PAPER_SSCL.learning_rate * budget.rate, steps, run)
     while fitting.step < steps:
         rng = np.random.default_rng([seed, 2, fitting.step])
         chosen = np.sort(rng.choice(len(scenes), size, replace=False))
@@ -133,65 +134,33 @@ def parameters(run: Path) -> dict[str, torch.Tensor]:
     return model
 
 
-def checkpoint(run: Path) -> dict[str, Any]:
-    """All that a run left when it was last interrupted or ended."""
-    state: dict[str, Any] = torch.load(run / "checkpoint.pt", weights_only=True, map_location="cpu")
-    return state
-
-
-class _Fitting:
-    """Optimizer, schedule, checkpoints and curve of one run."""
+class _Curve:
+    """A run's fitting with its running loss, kept where a checkpoint is."""
 
     def __init__(self, model: nn.Module, rate: float, steps: int, run: Path) -> None:
-        self.model, self.steps, self.step, self.running = model, steps, 0, float("nan")
-        self.curve: list[dict[str, float]] = []
-        self._run = run
-        self._optimizer = torch.optim.Adam(model.parameters(), rate)
-        warm = max(1, min(100, steps // 10))
-        self._schedule = torch.optim.lr_scheduler.LambdaLR(
-            self._optimizer,
-            lambda step: (
-                min(1.0, (step + 1) / warm)
-                * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * step / steps)))
-            ),
-        )
         run.mkdir(parents=True, exist_ok=True)
-        if (run / "checkpoint.pt").exists():
-            self._resume(checkpoint(run))
+        self._path, self._steps = run / "curve.json", steps
+        warm_up = max(1, min(100, steps // 10))
+        optimizer = torch.optim.Adam(model.parameters(), rate)
+        self._fitting = Fitting(model, optimizer, steps, warm_up, run)
+        points = json.loads(self._path.read_text()) if self.step else []
+        self._points = [point for point in points if point["step"] <= self.step]
+        self.running = self._points[-1]["loss"] if self._points else math.nan
+
+    @property
+    def step(self) -> int:
+        return self._fitting.step
 
     def optimize(self, loss: torch.Tensor) -> None:
         """One step; now and then a checkpoint, always at the end."""
-        self._optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
-        self._optimizer.step()
-        self._schedule.step()
-        self.step += 1
+        self._fitting.optimize(loss)
         value = float(loss.detach())
-        self.running = value if np.isnan(self.running) else 0.95 * self.running + 0.05 * value
-        if self.step % CHECKPOINT_STEPS == 0 or self.step == self.steps:
-            self.curve.append({"step": self.step, "loss": self.running})
-            self._save()
-
-    def _save(self) -> None:
-        unfinished = self._run / "checkpoint.part"
-        state = {
-            "step": self.step,
-            "running": self.running,
-            "model": self.model.state_dict(),
-            "optimizer": self._optimizer.state_dict(),
-            "schedule": self._schedule.state_dict(),
-        }
-        torch.save(state, unfinished)
-        unfinished.rename(self._run / "checkpoint.pt")
-        (self._run / "curve.json").write_text(json.dumps(self.curve) + "\n")
-
-    def _resume(self, state: dict[str, Any]) -> None:
-        self.model.load_state_dict(state["model"])
-        self._optimizer.load_state_dict(state["optimizer"])
-        self._schedule.load_state_dict(state["schedule"])
-        self.step, self.running = int(state["step"]), float(state["running"])
-        self.curve = json.loads((self._run / "curve.json").read_text())
+        self.running = value if math.isnan(self.running) else 0.95 * self.running + 0.05 * value
+        if self.step % CHECKPOINT_STEPS == 0 or self.step == self._steps:
+            self._points.append({"step": self.step, "loss": self.running})
+            # The curve first: a checkpoint without its point could not go on.
+            self._path.write_text(json.dumps(self._points) + "\n")
+            self._fitting.save()
 
 
 def describe(run: Path, training: Training, budget: Budget) -> None:

@@ -1,0 +1,83 @@
+"""A model that is being fitted: optimizer, schedule and checkpoint, the same for every training."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+CHECKPOINT = "checkpoint.pt"
+"""In a run's folder"""
+
+
+class Fitting:
+    """One run's optimization, which goes on at the folder's checkpoint if there is one.
+
+    Parameters
+    ----------
+    model : Module
+        On the device that it is trained on.
+    optimizer : Optimizer
+        Of its parameters, with the rate of the start; it falls to a hundredth along a cosine.
+    steps, warm_up : int
+        Of the whole run, and of its linear beginning.
+    run : Path
+        The folder, which exists.
+    """
+
+    def __init__(
+        self,
+        model: nn.Module,
+        optimizer: torch.optim.Optimizer,
+        steps: int,
+        warm_up: int,
+        run: Path,
+    ) -> None:
+        self.step = 0
+        self._model, self._optimizer, self._run = model, optimizer, run
+        self._schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, _cosine(steps, warm_up))
+        if (run / CHECKPOINT).exists():
+            state = checkpoint(run)
+            model.load_state_dict(state["model"])
+            optimizer.load_state_dict(state["optimizer"])
+            self._schedule.load_state_dict(state["schedule"])
+            self.step = int(state["step"])
+
+    def optimize(self, loss: Tensor) -> None:
+        """One step down a loss's gradient, whose norm is held to 1."""
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self._model.parameters(), 1.0)
+        self._optimizer.step()
+        self._schedule.step()
+        self.step += 1
+
+    def save(self) -> None:
+        """Write the checkpoint; an interruption leaves the one before."""
+        unfinished = self._run / "checkpoint.part"
+        state = {
+            "step": self.step,
+            "model": self._model.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "schedule": self._schedule.state_dict(),
+        }
+        torch.save(state, unfinished)
+        unfinished.rename(self._run / CHECKPOINT)
+
+
+def checkpoint(run: Path) -> dict[str, Any]:
+    """All that a run left when it was last interrupted or ended, on the CPU."""
+    state: dict[str, Any] = torch.load(run / CHECKPOINT, weights_only=True, map_location="cpu")
+    return state
+
+
+def _cosine(steps: int, warm_up: int) -> Callable[[int], float]:
+    def factor(step: int) -> float:
+        beginning = min(1.0, (step + 1) / warm_up)
+        return beginning * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(1.0, step / steps))))
+
+    return factor
