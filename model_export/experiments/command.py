@@ -1,4 +1,4 @@
-"""``python -m model_export experiments`` and ``methods``."""
+"""``python -m model_export methods|experiments|recordings``."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ NAMES = (
 
 
 def add_commands(commands: Any) -> None:
-    """The two subcommands."""
+    """Add ``methods``, ``experiments`` and ``recordings`` to the subparsers of the command line."""
     listing = commands.add_parser("methods", help="list every method of the paper's comparison")
     listing.add_argument("--json", action="store_true", help="as a JSON array of objects")
     listing.set_defaults(run_command=_methods)
