@@ -1,4 +1,4 @@
-"""Distillation: a narrower network learns what a trained one says of every cell.
+"""Distillation: a lighter network learns what a trained one says of every cell.
 
 Angles are not needed for it, so a step costs the convolutions alone, and every cell of every scene
 is a target. What the teacher was trained for, the spectra, is left to a short stage afterwards.
@@ -39,20 +39,19 @@ class DistilTask(WeightsTask):
     _teacher: WeightsNetwork | None = None
 
     def start_from(self, start: Task) -> None:
-        """Learn from it, and take what fits of its parameters: the blocks after the trunk."""
+        """Learn from it, and take all its parameters behind the convolutions that look ahead."""
         assert isinstance(start, WeightsTask)
-        own = self.model.state_dict()
-        fitting = {
-            name: tensor
-            for name, tensor in start.model.state_dict().items()
-            if not name.startswith("network.blocks")
-        }
-        ahead = start.model.network.lookahead
-        for block in range(ahead, len(start.model.network.blocks)):
-            for name, tensor in start.model.network.blocks[block].state_dict().items():
-                place = block - ahead + self.model.network.lookahead
-                fitting[f"network.blocks.{place}.{name}"] = tensor
-        self.model.load_state_dict(own | fitting)
+        taught, teaching = self.model.network, start.model.network
+        self.model.load_state_dict(
+            {
+                name: tensor
+                for name, tensor in start.model.state_dict().items()
+                if not name.startswith("network.blocks")
+            },
+            strict=False,
+        )
+        behind = slice(taught.lookahead, None), slice(teaching.lookahead, None)
+        taught.blocks[behind[0]].load_state_dict(teaching.blocks[behind[1]].state_dict())
         self._teacher = start.model.network.eval().requires_grad_(False)
 
     def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch:

@@ -16,7 +16,14 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from model_export.export import ExportGraph
-from model_export.weights import BINS_PER_ROW, Ahead, BandContext, PastContext, WeightsNetwork
+from model_export.weights import (
+    BINS_PER_ROW,
+    Ahead,
+    BandContext,
+    PastContext,
+    Separable,
+    WeightsNetwork,
+)
 from service.doa.features import NUM_FEATURES
 
 STEP_FRAMES = 6
@@ -52,38 +59,34 @@ class StreamingWeightsNetwork(nn.Module):
         hidden = self.network.image(features)
         ahead = 0
         for block in self.network.blocks:
-            if isinstance(block, Ahead):
-                hidden = block.step(F.pad(behind(hidden, ahead), (0, 0, 0, 1)))
-                ahead += 1
-            elif isinstance(block, PastContext):
-                hidden = block.step(behind(hidden, ahead), hidden)
-            else:
-                assert isinstance(block, BandContext)
+            if isinstance(block, BandContext):
                 band = block.convolve(behind(block.mean(hidden), ahead))
                 hidden = block.step(behind(band, ahead), hidden)
+                continue
+            assert isinstance(block, Ahead | PastContext | Separable)
+            joined = behind(hidden, ahead)
+            if block.looks_ahead:
+                joined = F.pad(joined, (0, 0, 0, 1))
+                hidden = joined[:, :, 1:-1]
+                ahead += 1
+            hidden = block.step(joined, hidden)
         weights, attention = self.network.cells(hidden)
         return (weights, attention, *following)
 
     def initial_state(self, batch: int, bins: int) -> dict[str, Tensor]:
         """Zeros, before the stream begins, by the state's name."""
-        rows = bins // BINS_PER_ROW
         state = {}
-        width = bins if self.network.trunk == "strided" else rows
+        width = bins if self.network.trunk == "strided" else bins // BINS_PER_ROW
         for index, block in enumerate(self.network.blocks):
-            if isinstance(block, Ahead):
-                convolution = block[0]
-                assert isinstance(convolution, nn.Conv2d)
-                shape = (batch, convolution.in_channels, 2, width)
-                state[f"ahead_{index}"] = torch.zeros(shape)
-                width //= convolution.stride[1]
-            elif isinstance(block, PastContext):
-                shape = (batch, block.convolution.in_channels, block.reach, rows)
-                state[f"past_{index}"] = torch.zeros(shape)
-            else:
-                assert isinstance(block, BandContext)
+            if isinstance(block, BandContext):
                 shape = (batch, block.first.in_channels, block.reach, 1)
                 state[f"band_first_{index}"] = torch.zeros(shape)
                 state[f"band_second_{index}"] = torch.zeros(shape)
+                continue
+            assert isinstance(block, Ahead | PastContext | Separable)
+            shape = (batch, block.inputs, block.reach, width)
+            state[f"{'ahead' if block.looks_ahead else 'past'}_{index}"] = torch.zeros(shape)
+            width //= block.stride
         return state
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import os
+import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -21,7 +22,7 @@ from service.api.recording_job import (
     Report,
     localize_file,
 )
-from service.errors import UNEXPECTED, DoaError
+from service.errors import UNEXPECTED, DoaError, WorkerLost
 from service.inference.registry import BundleRegistry
 from service.memory import give_back_memory, keep_freed_memory
 from service.settings import Settings
@@ -35,7 +36,7 @@ class Unwanted(Exception):
     """Nobody waits for the answer any more."""
 
 
-def work_until_end(link: Link, registry: BundleRegistry, threads: int = 1) -> None:
+def work_until_end(link: Link, registry: BundleRegistry, processes: int = 1) -> None:
     """Take jobs with their files; every report is answered with whether to go on."""
 
     def report(message: Report) -> None:
@@ -49,7 +50,7 @@ def work_until_end(link: Link, registry: BundleRegistry, threads: int = 1) -> No
             _outcome(
                 job,
                 descriptor,
-                partial(localize_file, registry=registry, report=report, threads=threads),
+                partial(localize_file, registry=registry, report=report, processes=processes),
             )
         )
         give_back_memory()
@@ -69,6 +70,8 @@ def _outcome(
         return Localized(body, windows, time.monotonic() - began)
     except Unwanted:
         return None
+    except WorkerLost:
+        sys.exit(1)  # as the helper did: the service starts another one and says so
     except DoaError as error:
         return Refused(error)
     except Exception:

@@ -72,7 +72,7 @@ def localize_file(
     file: BinaryIO,
     registry: BundleRegistry,
     report: Callable[[Report], None],
-    threads: int = 1,
+    processes: int = 1,
 ) -> tuple[bytes, int]:
     """The answer's JSON, and its number of windows.
 
@@ -80,6 +80,8 @@ def localize_file(
     ------
     DoaError
         If the recording or the options cannot be used.
+    WorkerLost
+        If one of the processes was killed.
     """
     asked = job.asked
     with Recording.open(file, job.limits) as recording:
@@ -90,7 +92,7 @@ def localize_file(
             replace(asked.options, spectra=asked.spectrum),
             registry,
             lambda share: report(Progress(share)),
-            threads=threads,
+            processes=processes,
         )
     return localization_json(result, spectrum=asked.spectrum), len(result.windows)
 

@@ -49,7 +49,7 @@ def localize_recording(
     registry: BundleRegistry,
     progress: Callable[[float], None] | None = None,
     *,
-    threads: int = 1,
+    processes: int = 1,
 ) -> RecordingResult:
     """Localize a recording window by window, in memory bounded by the window.
 
@@ -57,13 +57,15 @@ def localize_recording(
     ----------
     progress : callable, optional
         Told the share of the recording that is done, in [0, 1].
-    threads : int
-        That compute windows; the result does not depend on it.
+    processes : int
+        That compute windows of a long recording; the result does not depend on it.
 
     Raises
     ------
     DoaError
         If the options do not fit the recording, the array or the models.
+    WorkerLost
+        If one of the processes was killed.
     """
     array = options.array
     channel_map = choose_channels(recording.channels, array, options.channel_map)
@@ -78,7 +80,7 @@ def localize_recording(
     diagnostics = ChannelDiagnostics(stft.sample_rate, array.num_microphones, channel_map)
     blocks = _observed(recording.blocks(channel_map, stft.sample_rate), diagnostics)
     cut = windows(blocks, stft.sample_rate, options.window_s, options.hop_s, stft.n_fft - stft.hop)
-    estimated = in_order(partial(_estimate, localizer, options), _batches(cut), threads)
+    estimated = in_order(partial(_estimate, localizer, options), _batches(cut), processes)
     results = PackedWindows(options.orientation, spectra=options.spectra)
     for window in identified(_placed(estimated, options, recording.duration, progress)):
         results.append(window)

@@ -9,11 +9,13 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from torch import nn
 
+from model_export.config import Trunk
 from model_export.export import export_onnx
 from model_export.parameters import trained_model
 from model_export.tasks import WeightsTask
-from model_export.weights import WeightsNetwork
+from model_export.weights import Separable, WeightsNetwork
 from model_export.weights_stream import stream_graph
 from service.doa.types import FloatArray
 from service.inference.bundle import load_bundle
@@ -27,11 +29,26 @@ REACH = 3 + 4 + 8 + 8 + 16
 """Frames that the network looks back; before them it saw the window's zero padding"""
 
 
-@pytest.fixture(scope="module")
-def network() -> WeightsNetwork:
+def untrained(trunk: Trunk) -> WeightsNetwork:
+    """Random parameters, and statistics as if there had been a training."""
+    torch.manual_seed(0)
+    network = WeightsNetwork(trunk)
+    for module in network.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            module.running_mean = torch.randn(module.num_features) / 4
+            module.running_var = torch.rand(module.num_features) + 0.5
+    return network.eval()
+
+
+def embedded() -> WeightsNetwork:
     task = trained_model(load_bundle(EMBEDDED_MODELS / "any-array")).task
     assert isinstance(task, WeightsTask)
     return task.model.network.eval()
+
+
+@pytest.fixture(scope="module", params=["embedded", "strided", "separable"])
+def network(request: pytest.FixtureRequest) -> WeightsNetwork:
+    return embedded() if request.param == "embedded" else untrained(request.param)
 
 
 @pytest.fixture(scope="module")
@@ -75,10 +92,26 @@ def test_steps_of_any_length_give_the_window(
 
 
 def test_the_embedded_stream_graph_is_the_embedded_networks(
-    engine: Engine, features: FloatArray
+    features: FloatArray, tmp_path: Path
 ) -> None:
-    embedded = load_bundle(EMBEDDED_MODELS / "any-array").covariance_stream
-    assert embedded is not None
-    inputs = [features[:, :, :6], *embedded.initial_state()]
-    for ours, theirs in zip(engine.run(inputs), embedded.run(inputs), strict=True):
-        assert np.abs(ours - theirs).max() < 1e-4
+    export_onnx(stream_graph(embedded(), BINS), tmp_path / "stream.onnx")
+    ours = Engine((tmp_path / "stream.onnx").read_bytes(), "stream.onnx")
+    theirs = load_bundle(EMBEDDED_MODELS / "any-array").covariance_stream
+    assert theirs is not None
+    inputs = [features[:, :, :6], *theirs.initial_state()]
+    for found, expected in zip(ours.run(inputs), theirs.run(inputs), strict=True):
+        assert np.abs(found - expected).max() < 1e-4
+
+
+def test_a_separated_convolution_is_trained_as_what_it_serves_as() -> None:
+    torch.manual_seed(1)
+    block = Separable(8, 5).double()
+    block.norm.eval()
+    hidden = torch.randn(2, 8, 12, 10, dtype=torch.float64)
+    trained = block(hidden)
+    served = block.eval()(hidden)
+    torch.testing.assert_close(trained, served)
+    later = hidden.clone()
+    later[:, :, 7:] += 1
+    changed = (block(later) != served).any(dim=3).any(dim=1).any(dim=0)
+    assert changed.nonzero().min() == 6
