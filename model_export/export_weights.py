@@ -20,7 +20,7 @@ from model_export.export import (
 from model_export.parameters import parameter_arrays
 from model_export.subspace import delay_products
 from model_export.tasks import STFT, steering_delays
-from model_export.weights import WINDOW_SHARE, WeightsPipeline
+from model_export.weights import KEPT_SHARE, WINDOW_SHARE, WeightsPipeline
 from model_export.weights_stream import stream_graph
 from service.doa.array import MicrophoneArray
 from service.doa.features import NUM_FEATURES, coherence_features, unit_vectors_and_power
@@ -71,6 +71,7 @@ def export_weights(
             "floor": np.array(analysis.floor, np.float32),
             "dominance_power": np.array(analysis.dominance_power, np.float32),
             "window_share": np.array(analysis.window_share, np.float32),
+            "kept_share": np.array(analysis.kept_share, np.float32),
         },
         parameter_arrays(model=pipeline, source_count=source_count),
         list(reference_spectra(pipeline, windows, array)),
@@ -111,6 +112,7 @@ def analysis_of(pipeline: WeightsPipeline) -> Analysis:
         floor=float(pipeline.log_floor.detach().exp()),
         dominance_power=float(pipeline.log_dominance_power.detach().exp()),
         window_share=WINDOW_SHARE,
+        kept_share=KEPT_SHARE,
     )
 
 

@@ -27,6 +27,10 @@ WINDOW_SHARE = 0.5
 a tenth: blocks tell talkers apart; but in strong noise the longer average errs less."""
 
 
+KEPT_SHARE = 0.25
+"""Of a bin's blocks, those that are attended to most; the others count next to nothing"""
+
+
 class PastContext(nn.Module):
     """Residual causal convolution in time: what a row did up to ``2 * dilation`` frames before."""
 
@@ -321,7 +325,7 @@ class WeightsPipeline(nn.Module):
 
 def _strongest(attended: Tensor) -> Tensor:
     """Attentions (..., K) with only the strongest left, which the service computes spectra of."""
-    least = attended.topk(kept_blocks(attended.shape[-1]), -1).values[..., -1:]
+    least = attended.topk(kept_blocks(attended.shape[-1], KEPT_SHARE), -1).values[..., -1:]
     return attended * (attended >= least)
 
 

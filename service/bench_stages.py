@@ -35,7 +35,8 @@ def window_stages(
 
     ``fusion`` and ``peaks`` alternate in the search, up to four times; here each is all its rounds.
     """
-    search = CandidateSearch(bundle.covariance, analysis_of(bundle), array)
+    analysis = analysis_of(bundle)
+    search = CandidateSearch(bundle.covariance, analysis, array)
     yield "stft", lambda window: search.spectra(window[None]), windows
     spectra = [search.spectra(window[None]) for window in windows]
     yield "features", lambda each: search.features(*unit_vectors_and_power(each)), spectra
@@ -44,7 +45,7 @@ def window_stages(
     yield "covariance_net", search.weigh, features
     weighed = [search.weigh(each) for each in features]
     means = [block_means(attention[0]) for _, attention in weighed]
-    chosen = [strongest_blocks(each) for each in means]
+    chosen = [strongest_blocks(each, analysis.kept_share) for each in means]
     units = [unit[0] for unit, _ in frames]
     weights = [each[0] for each, _ in weighed]
     formed = list(zip(units, weights, chosen, strict=True))

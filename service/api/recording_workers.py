@@ -17,7 +17,7 @@ from starlette.requests import ClientDisconnect, Request
 from service.api.recording_job import Localized, Opened, Outcome, RecordingJob, Refused, Report
 from service.api.worker_process import WorkerProcess
 from service.errors import DecodingFailed, DoaError, Draining, Overloaded, WorkerLost
-from service.inference.recording import BATCH_WINDOWS
+from service.inference.recording import STRETCH_WINDOWS
 from service.metrics import Metrics
 from service.worker_link import Link, Setup
 
@@ -217,8 +217,8 @@ class RecordingWorkers:
         """Count a recording that was answered after so many seconds."""
         self._metrics.worked("file", max(seconds - localized.seconds, 0.0), localized.seconds)
         self._metrics.audio("file", audio_s)
-        full, rest = divmod(localized.windows, BATCH_WINDOWS)
-        for windows in (*[BATCH_WINDOWS] * full, *[rest] * bool(rest)):
+        full, rest = divmod(localized.windows, STRETCH_WINDOWS)
+        for windows in (*[STRETCH_WINDOWS] * full, *[rest] * bool(rest)):
             self._metrics.batch(windows)
 
     def _localize(

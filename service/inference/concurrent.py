@@ -2,20 +2,24 @@
 
 Threads would hand the interpreter's lock around for a third of their time: behind the network a
 window is some two hundred short calls of numpy. So a recording forks its helpers, which share the
-bundle's memory with it and need not load anything.
+bundle's memory with it and need not load anything; inputs' arrays reach them through memory that
+both have mapped.
 """
 
 from __future__ import annotations
 
 import ctypes
+import mmap
 import os
+import pickle
 import signal
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from itertools import chain, islice
+from dataclasses import dataclass
+from itertools import chain, count, islice
 from multiprocessing import get_context
 from typing import Any, TypeVar
 
@@ -28,10 +32,60 @@ FEW = 8
 """Inputs that are not worth a process"""
 AHEAD = 2
 """Inputs per process that are handed over before the first one's result is asked for"""
+ALIGNMENT = 64
+"""Bytes: where an array may begin"""
 PR_SET_PDEATHSIG = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """An input on its way to a helper."""
+
+    pickled: bytes
+    spans: tuple[tuple[int, int], ...]
+    """Where its arrays are in the mapped memory, from and to"""
+
+
+class Mailbox:
+    """Mapped memory in slots of one size, each of which holds the arrays of one input."""
+
+    def __init__(self, slots: int, slot_size: int) -> None:
+        self._slots, self._slot_size = slots, slot_size
+        self._memory = memoryview(mmap.mmap(-1, max(1, slots * slot_size)))
+
+    def send(self, number: int, each: object) -> Sent:
+        """The input of this number, its contiguous arrays copied over that ``slots`` before."""
+        arrays: list[pickle.PickleBuffer] = []
+        pickled = pickle.dumps(each, protocol=5, buffer_callback=arrays.append)
+        begin = number % self._slots * self._slot_size
+        spans = tuple(_spans(begin, arrays))
+        if spans and spans[-1][1] > begin + self._slot_size:
+            return Sent(pickle.dumps(each), ())
+        for (first, last), array in zip(spans, arrays, strict=True):
+            self._memory[first:last] = array.raw()
+        return Sent(pickled, spans)
+
+    def receive(self, sent: Sent) -> Any:
+        """The input, its arrays being views of the memory until the next one in its slot."""
+        return pickle.loads(sent.pickled, buffers=[self._memory[a:b] for a, b in sent.spans])
+
+
+def size_of(each: object) -> int:
+    """Bytes that an input's arrays take in a slot."""
+    arrays: list[pickle.PickleBuffer] = []
+    pickle.dumps(each, protocol=5, buffer_callback=arrays.append)
+    return max((last for _, last in _spans(0, arrays)), default=0) + ALIGNMENT
+
+
+def _spans(begin: int, arrays: Iterable[pickle.PickleBuffer]) -> Iterator[tuple[int, int]]:
+    for array in arrays:
+        begin = -(-begin // ALIGNMENT) * ALIGNMENT
+        yield begin, (begin := begin + array.raw().nbytes)
+
 
 _work: Callable[[Any], Any]
 """What a helper does, from before the fork: it need not be pickled"""
+_mailbox: Mailbox
 
 
 def in_order(
@@ -39,7 +93,8 @@ def in_order(
 ) -> Iterator[tuple[InputT, ResultT]]:
     """Every input with its result; at most two inputs per process are ahead of them.
 
-    With one process, or few inputs, nothing is ahead: the caller does the work.
+    With one process, or few inputs, nothing is ahead: the caller does the work. Results must not
+    be views of the inputs' arrays.
 
     Raises
     ------
@@ -53,13 +108,16 @@ def in_order(
         for each in chain(first, inputs):
             yield each, work(each)
         return
-    context = get_context("fork")
-    pool = ProcessPoolExecutor(processes, context, _take_up, (work, os.getpid()))
+    most = AHEAD * processes
+    mailbox = Mailbox(most + 1, max(map(size_of, first)))
+    pool = ProcessPoolExecutor(
+        processes, get_context("fork"), _take_up, (work, mailbox, os.getpid())
+    )
     ahead: deque[tuple[InputT, Future[ResultT]]] = deque()
     try:
-        for each in chain(first, inputs):
-            ahead.append((each, pool.submit(_do, each)))
-            if len(ahead) > AHEAD * processes:
+        for number, each in zip(count(), chain(first, inputs)):
+            ahead.append((each, pool.submit(_do, mailbox.send(number, each))))
+            if len(ahead) > most:
                 given, future = ahead.popleft()
                 yield given, future.result()
         for given, future in ahead:
@@ -70,14 +128,14 @@ def in_order(
         pool.shutdown(cancel_futures=True)
 
 
-def _take_up(work: Callable[[InputT], ResultT], parent: int) -> None:
+def _take_up(work: Callable[[InputT], ResultT], mailbox: Mailbox, parent: int) -> None:
     """Begin a helper's life, which ends with its parent's, however that ends."""
-    global _work
-    _work = work
+    global _work, _mailbox
+    _work, _mailbox = work, mailbox
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)
 
 
-def _do(each: Any) -> Any:
-    return _work(each)
+def _do(sent: Sent) -> Any:
+    return _work(_mailbox.receive(sent))

@@ -12,6 +12,7 @@ from service.inference.bundle import Bundle
 from service.inference.regression import RegressionLocalizer
 from service.inference.results import WindowEstimate
 from service.inference.weights import WeightsLocalizer
+from service.inference.windows import Stretch
 
 
 class Localizer(Protocol):
@@ -45,3 +46,12 @@ def localizer_of(
             "variant weights or a classical method"
         )
     return RegressionLocalizer(bundle, array)
+
+
+def estimate_stretch(
+    localizer: Localizer, stretch: Stretch, num_sources: int | None, max_sources: int
+) -> list[WindowEstimate]:
+    """Directions of every window of a stretch, as of the windows alone."""
+    if isinstance(localizer, WeightsLocalizer):
+        return localizer.estimate_stretch(stretch, num_sources, max_sources)
+    return localizer.estimate(stretch.windows, num_sources, max_sources)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
-from itertools import islice
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from service.inference.choice import (
 from service.inference.classical import ClassicalLocalizer
 from service.inference.concurrent import in_order
 from service.inference.identities import identified
-from service.inference.localizer import Localizer, localizer_of
+from service.inference.localizer import Localizer, estimate_stretch, localizer_of
 from service.inference.packed_windows import PackedWindows
 from service.inference.registry import BundleRegistry
 from service.inference.results import (
@@ -37,10 +36,10 @@ from service.inference.results import (
     WindowResult,
 )
 from service.inference.summary import summarise
-from service.inference.windows import Window, windows
+from service.inference.windows import Stretch, stretches, windows
 
-BATCH_WINDOWS = 4
-"""Windows per network call; more gain nothing on one thread and cost memory"""
+STRETCH_WINDOWS = 8
+"""Windows that are computed at a time: more share little more and cost memory"""
 
 
 def localize_recording(
@@ -80,7 +79,8 @@ def localize_recording(
     diagnostics = ChannelDiagnostics(stft.sample_rate, array.num_microphones, channel_map)
     blocks = _observed(recording.blocks(channel_map, stft.sample_rate), diagnostics)
     cut = windows(blocks, stft.sample_rate, options.window_s, options.hop_s, stft.n_fft - stft.hop)
-    estimated = in_order(partial(_estimate, localizer, options), _batches(cut), processes)
+    joined = stretches(cut, STRETCH_WINDOWS)
+    estimated = in_order(partial(_estimate, localizer, options), joined, processes)
     results = PackedWindows(options.orientation, spectra=options.spectra)
     for window in identified(_placed(estimated, options, recording.duration, progress)):
         results.append(window)
@@ -100,41 +100,35 @@ def localize_recording(
     )
 
 
-def _batches(cut: Iterator[Window]) -> Iterator[tuple[Window, ...]]:
-    while batch := tuple(islice(cut, BATCH_WINDOWS)):
-        yield batch
-
-
 def _estimate(
-    localizer: Localizer, options: LocalizeOptions, batch: tuple[Window, ...]
+    localizer: Localizer, options: LocalizeOptions, stretch: Stretch
 ) -> list[WindowEstimate]:
-    """Estimates of a batch; silent windows never reach the localizer's decision."""
-    audio = np.stack([window.audio for window in batch])
+    """Estimates of a stretch's windows; of silent ones nothing is reported."""
     most = min(options.max_sources, options.array.num_microphones - 1)
-    estimates = localizer.estimate(audio, options.num_sources, most)
-    return [_unless_silent(*each) for each in zip(batch, estimates, strict=True)]
+    estimates = estimate_stretch(localizer, stretch, options.num_sources, most)
+    heard = (w[:, : max(n, 1)] for w, n in zip(stretch.windows, stretch.heard, strict=True))
+    return [_unless_silent(*each) for each in zip(heard, estimates, strict=True)]
 
 
-def _unless_silent(window: Window, estimate: WindowEstimate) -> WindowEstimate:
-    heard = window.audio[:, : max(window.heard, 1)]
+def _unless_silent(heard: FloatArray, estimate: WindowEstimate) -> WindowEstimate:
     silent = float(np.mean(heard * heard)) < SILENCE
     return WindowEstimate((), np.zeros_like(estimate.spectrum)) if silent else estimate
 
 
 def _placed(
-    estimated: Iterable[tuple[tuple[Window, ...], list[WindowEstimate]]],
+    estimated: Iterable[tuple[Stretch, list[WindowEstimate]]],
     options: LocalizeOptions,
     duration: float,
     progress: Callable[[float], None] | None,
 ) -> Iterator[WindowResult]:
     """Windows with their time and with what of them is to be reported."""
-    for batch, estimates in estimated:
-        for window, estimate in zip(batch, estimates, strict=True):
-            t_end = min(window.start + options.window_s, duration)
+    for stretch, estimates in estimated:
+        for start, estimate in zip(stretch.starts, estimates, strict=True):
+            t_end = min(start + options.window_s, duration)
             reported = _on_robot(estimate, options.orientation)
-            yield WindowResult(window.start, t_end, reported)
+            yield WindowResult(start, t_end, reported)
         if progress:
-            progress(min(1.0, batch[-1].start / duration))
+            progress(min(1.0, stretch.starts[-1] / duration))
 
 
 def _on_robot(estimate: WindowEstimate, orientation: Orientation) -> WindowEstimate:

@@ -22,13 +22,16 @@ from service.inference.candidates import Candidates, find_candidates
 from service.inference.descriptors import Field
 from service.inference.engine import Engine
 from service.inference.results import Source, WindowEstimate
+from service.inference.windows import Stretch, sliding
 
 BLOCK_FRAMES = 8
 SMALL_APERTURE = 0.3
 """Metres; over arrays up to it the bundle's grid of azimuths finds peaks as well as one twice as
 fine (docs/performance.md), which larger arrays get"""
-FEWEST_BLOCKS = 4
-"""That a bin keeps at least"""
+TRAINED_BLOCKS = 8
+"""Of the windows that networks are trained on"""
+HALF = np.float32(0.5)
+"""Of the blocks, which bundles keep that do not say"""
 LEAST_CONFIDENCE = 0.5
 """Where the number of sources is estimated: a second or third that is more likely wrong than right
 is left out"""
@@ -54,6 +57,8 @@ class Analysis:
     """Exponent of the dominance in the attention"""
     window_share: float
     """Attention of a bin's whole window against the sum of its blocks'"""
+    kept_share: float
+    """Of a bin's blocks, those that are attended to most, of which spectra are computed"""
     bins_per_cell: int = 1
     """Neighbouring bins whose covariances are added up; more than one only without whitening"""
 
@@ -88,14 +93,27 @@ class CandidateSearch:
 
     def candidates(self, windows: FloatArray) -> list[Candidates]:
         """Candidate sources of every window (B, N, T), before counting."""
-        unit, power = unit_vectors_and_power(self.spectra(windows))
+        return self._candidates(*unit_vectors_and_power(self.spectra(windows)))
+
+    def candidates_of(self, stretch: Stretch) -> list[Candidates]:
+        """Candidate sources of every window of a stretch; frames that they share have one STFT."""
+        stft = self._analysis.stft
+        frames = whole_blocks(stft.num_frames(stretch.length))
+        if stretch.hop % stft.hop or frames > stft.num_frames(stretch.length):
+            return self.candidates(stretch.windows)
+        unit, power = unit_vectors_and_power(self.band(stft.transform(stretch.audio)))
+        hop = stretch.hop // stft.hop
+        return self._candidates(sliding(unit, frames, hop), sliding(power, frames, hop))
+
+    def _candidates(self, unit: ComplexArray, power: FloatArray) -> list[Candidates]:
+        """Of windows' (B, N, F, L) and (B, F, L)."""
         weights, attention = self.weigh(self.features(unit, power))
         # One window at a time: its spectra are megabytes and stay in the cache.
         return [self._search(*window) for window in zip(unit, weights, attention, strict=True)]
 
     def _search(self, unit: ComplexArray, weights: FloatArray, attention: FloatArray) -> Candidates:
         means = block_means(attention)
-        chosen = strongest_blocks(means)
+        chosen = strongest_blocks(means, self._analysis.kept_share)
         principal, dominance = principal_eigenvectors(cell_covariances(unit, weights, chosen))
         return self.found(self.field(self.cell_spectra(principal), means, chosen, dominance))
 
@@ -140,7 +158,7 @@ class CandidateSearch:
         """
         spectra = self.band(self._analysis.stft.transform(windows))
         frames = spectra.shape[-1]
-        wanted = max(1, round(frames / BLOCK_FRAMES)) * BLOCK_FRAMES
+        wanted = whole_blocks(frames)
         if wanted > frames:
             spectra = np.pad(spectra, [(0, 0)] * (spectra.ndim - 1) + [(0, wanted - frames)])
         return spectra[..., :wanted]
@@ -171,6 +189,11 @@ class CandidateSearch:
         return attended.astype(np.float32, copy=False)
 
 
+def whole_blocks(frames: int) -> int:
+    """The frames of the nearest number of blocks, at least one."""
+    return max(1, round(frames / BLOCK_FRAMES)) * BLOCK_FRAMES
+
+
 def cell_covariances(unit: ComplexArray, weights: FloatArray, chosen: IntArray) -> ComplexArray:
     """Covariances of a bin's chosen blocks and of its whole window.
 
@@ -181,18 +204,18 @@ def cell_covariances(unit: ComplexArray, weights: FloatArray, chosen: IntArray) 
     return chosen_and_sum(blocks, chosen)
 
 
-def kept_blocks(blocks: int) -> int:
-    """How many of a bin's blocks go on to eigenvectors and spectra: the half that matters.
+def kept_blocks(blocks: int, share: float) -> int:
+    """How many of a bin's blocks go on to eigenvectors and spectra.
 
-    The others count next to nothing: with four of a window's eight no error of docs/performance.md
-    changes by 0.01 degrees.
+    The others count next to nothing (docs/performance.md). Short windows keep as many as those that
+    the network was trained on.
     """
-    return max(min(FEWEST_BLOCKS, blocks), blocks // 2)
+    return max(min(round(share * TRAINED_BLOCKS), blocks), int(share * blocks))
 
 
-def strongest_blocks(attention: FloatArray) -> IntArray:
+def strongest_blocks(attention: FloatArray, share: float) -> IntArray:
     """Indices (R, F), ascending, of every bin's most attended blocks of (K, F)."""
-    count = kept_blocks(len(attention))
+    count = kept_blocks(len(attention), share)
     order = np.argsort(attention, axis=0)[len(attention) - count :]
     return np.sort(order, axis=0)
 
@@ -272,6 +295,12 @@ class WeightsLocalizer:
         """
         return self._counter.select(self._search.candidates(windows), num_sources, max_sources)
 
+    def estimate_stretch(
+        self, stretch: Stretch, num_sources: int | None, max_sources: int
+    ) -> list[WindowEstimate]:
+        """Directions of every window of a stretch; the other parameters as in ``estimate``."""
+        return self._counter.select(self._search.candidates_of(stretch), num_sources, max_sources)
+
 
 def analysis_of(bundle: Bundle) -> Analysis:
     """The analysis parameters that a `weights` bundle holds."""
@@ -284,6 +313,7 @@ def analysis_of(bundle: Bundle) -> Analysis:
         floor=float(bundle.fusion["floor"]),
         dominance_power=float(bundle.fusion["dominance_power"]),
         window_share=float(bundle.fusion["window_share"]),
+        kept_share=float(bundle.fusion.get("kept_share", HALF)),
     )
 
 

@@ -1,13 +1,19 @@
-"""Analysis windows cut from a stream of audio blocks, with memory for one window and one block."""
+"""Analysis windows cut from a stream of audio blocks, with memory for one window and one block.
+
+Windows that overlap are joined to stretches, which hold what their windows share once.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
-from service.doa.types import FloatArray
+from service.doa.types import ComplexArray, FloatArray
+
+Numbers = TypeVar("Numbers", FloatArray, ComplexArray)
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,6 +22,8 @@ class Window:
 
     start: float
     """Seconds from the beginning of the recording"""
+    first: int
+    """The same in samples"""
     audio: FloatArray
     """(N, T) float32, zero-padded where the recording ends inside"""
     heard: int
@@ -44,7 +52,7 @@ def windows(
         buffer = block if buffer is None else np.concatenate([buffer, block], axis=1)
         while offset + buffer.shape[1] >= (start := round(index * hop_s * sample_rate)) + needed:
             begin = start - offset
-            yield Window(index * hop_s, buffer[:, begin : begin + needed], length)
+            yield Window(index * hop_s, start, buffer[:, begin : begin + needed], length)
             index += 1
         passed = min(max(0, round(index * hop_s * sample_rate) - offset), buffer.shape[1])
         buffer, offset = buffer[:, passed:], offset + passed
@@ -56,5 +64,67 @@ def windows(
             return
         audio = buffer[:, start - offset : start - offset + needed]
         padded = np.pad(audio, [(0, 0), (0, needed - audio.shape[1])])
-        yield Window(index * hop_s, padded, min(length, total - start))
+        yield Window(index * hop_s, start, padded, min(length, total - start))
         index += 1
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Consecutive windows and the audio that they lie in."""
+
+    starts: tuple[float, ...]
+    """Seconds, of every window"""
+    heard: tuple[int, ...]
+    """Samples of every window that the recording really holds"""
+    audio: FloatArray
+    """(N, T) float32 from the first window's first sample to the last one's last, contiguous"""
+    length: int
+    """Samples of a window"""
+    hop: int
+    """Samples from one window's first to the next one's"""
+
+    @property
+    def windows(self) -> FloatArray:
+        """(B, N, length) float32, a view."""
+        return sliding(self.audio, self.length, self.hop)
+
+
+def sliding(values: Numbers, length: int, hop: int) -> Numbers:
+    """Pieces (B, ..., length) of (..., T) that begin every ``hop``, a view."""
+    pieces = np.lib.stride_tricks.sliding_window_view(values, length, axis=-1)
+    moved: Numbers = np.moveaxis(pieces[..., ::hop, :], -2, 0)
+    return moved
+
+
+def stretches(cut: Iterable[Window], most: int) -> Iterator[Stretch]:
+    """Windows joined while they overlap at one distance, at most ``most`` at a time."""
+    joined: list[Window] = []
+    for window in cut:
+        if joined and (len(joined) == most or not _continues(joined, window)):
+            yield _stretch(joined)
+            joined = []
+        joined.append(window)
+    if joined:
+        yield _stretch(joined)
+
+
+def _continues(joined: list[Window], window: Window) -> bool:
+    hop = window.first - joined[-1].first
+    return hop < window.audio.shape[1] and (len(joined) == 1 or hop == _hop(joined))
+
+
+def _hop(joined: list[Window]) -> int:
+    """Between the first two; of a window alone, its length."""
+    return joined[1].first - joined[0].first if len(joined) > 1 else joined[0].audio.shape[1]
+
+
+def _stretch(joined: list[Window]) -> Stretch:
+    hop, last = _hop(joined), joined[-1].audio
+    audio = np.concatenate([*(window.audio[:, :hop] for window in joined[:-1]), last], axis=1)
+    return Stretch(
+        tuple(window.start for window in joined),
+        tuple(window.heard for window in joined),
+        audio,
+        last.shape[1],
+        hop,
+    )

@@ -52,6 +52,13 @@ def test_work_need_not_be_pickled_and_arrays_are_as_they_were() -> None:
         np.testing.assert_array_equal(result, 3 * array)
 
 
+def test_arrays_larger_than_the_first_ones_come_through() -> None:
+    rng = np.random.default_rng(0)
+    arrays = [rng.standard_normal((index, 3 + index)) for index in range(MANY)]
+    for array, result in in_order(np.negative, arrays, 2):
+        np.testing.assert_array_equal(result, -array)
+
+
 def test_inputs_are_taken_as_results_are() -> None:
     taken = 0
 

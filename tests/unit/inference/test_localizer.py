@@ -11,10 +11,11 @@ from service.doa.scoring import circular_error, maae
 from service.doa.types import FloatArray
 from service.inference.candidates import Candidates
 from service.inference.classical import ClassicalLocalizer
-from service.inference.localizer import Localizer, localizer_of
+from service.inference.localizer import Localizer, estimate_stretch, localizer_of
 from service.inference.registry import BundleRegistry
 from service.inference.results import METHODS
 from service.inference.weights import LEAST_CONFIDENCE, select_sources, strongest_blocks
+from service.inference.windows import stretches, windows
 
 
 @pytest.fixture(scope="module")
@@ -152,14 +153,35 @@ def test_the_surest_counted_source_needs_less_than_further_ones(
     assert len(told.sources) == 2  # whoever names the number gets it
 
 
+@pytest.mark.parametrize("share", [0.25, 0.5])
 @pytest.mark.parametrize("blocks", [1, 3, 4, 8, 9, 78])
-def test_the_blocks_that_a_bin_keeps_are_its_most_attended_half(blocks: int) -> None:
+def test_the_blocks_that_a_bin_keeps_are_its_most_attended(blocks: int, share: float) -> None:
     rng = np.random.default_rng(blocks)
     attention = rng.uniform(0, 1, (blocks, 7)).astype(np.float32)
-    kept = strongest_blocks(attention)
-    assert len(kept) == max(min(4, blocks), blocks // 2)
+    kept = strongest_blocks(attention, share)
+    assert len(kept) == max(min(round(8 * share), blocks), int(share * blocks))
     for f in range(7):
         assert list(kept[:, f]) == sorted(np.argsort(attention[:, f])[blocks - len(kept) :])
+
+
+@pytest.mark.parametrize("method", ["neural", "norm_music"])
+@pytest.mark.parametrize(("window_s", "hop_s"), [(1.024, 0.512), (1.0, 0.24), (0.5, 0.1)])
+def test_a_stretch_gives_what_its_windows_give_alone(
+    method: str, window_s: float, hop_s: float, registry: BundleRegistry, plane_waves
+) -> None:
+    array = ARRAYS["square"]
+    audio = plane_waves(array, [50.0, 140.0], seconds=2.5)
+    tail = registry.bundles[0].stft.n_fft - registry.bundles[0].stft.hop
+    (stretch,) = stretches(windows([audio], 16000, window_s, hop_s, tail), 30)
+    assert len(stretch.starts) > 2
+    chosen = localizer(method, array, registry)
+    together = estimate_stretch(chosen, stretch, 2, 3)
+    for found, window in zip(together, stretch.windows, strict=True):
+        (alone,) = chosen.estimate(window[None], 2, 3)
+        np.testing.assert_allclose(found.spectrum, alone.spectrum, atol=1e-4)
+        assert [s.azimuth for s in found.sources] == pytest.approx(
+            [s.azimuth for s in alone.sources], abs=1e-3
+        )
 
 
 def test_a_long_window_hears_who_speaks_in_turn(registry: BundleRegistry, plane_waves) -> None:
