@@ -12,6 +12,7 @@ import numpy as np
 from service.doa.types import ComplexArray, FloatArray
 
 NUM_FEATURES = 5
+LAGS = (1, 2)  # frames
 BIN_LAG = 2  # windowed noise is all but independent there, and no array turns far in 62 Hz
 LEVEL_FLOOR = 1e-5  # of the window's mean power, 50 dB down: quieter cells look alike
 LEVEL_SCALE = 0.25  # brings the natural logarithm of power to unit spread
@@ -61,17 +62,41 @@ def coherence_features(
         before, and |x_t^H x_(t-1)|, |x_t^H x_(t-2)| and |x_f^H x_(f-2)| of vectors of unit norm.
         Cells without a predecessor hold zeros. In memory frames come before bins.
     """
-    unit, power = np.swapaxes(unit, -1, -2), np.swapaxes(power, -1, -2)
+    return window_features(coherences(unit), power, mean_power)
+
+
+def coherences(unit: ComplexArray) -> FloatArray:
+    """|x_t^H x_(t-1)|, |x_t^H x_(t-2)| and |x_f^H x_(f-2)| of unit vectors (..., N, F, L).
+
+    (..., 3, F, L) float32, zero where there is no predecessor; in memory frames come before bins.
+    """
+    unit = np.swapaxes(unit, -1, -2)
+    conjugate = np.conj(unit)
+    found = np.zeros((*unit.shape[:-3], 3, *unit.shape[-2:]), dtype=np.float32)
+    for lag in LAGS:
+        product = unit[..., lag:, :] * conjugate[..., :-lag, :]
+        np.abs(product.sum(axis=-3), out=found[..., lag - 1, lag:, :])
+    product = unit[..., BIN_LAG:] * conjugate[..., :-BIN_LAG]
+    np.abs(product.sum(axis=-3), out=found[..., 2, :, BIN_LAG:])
+    return np.swapaxes(found, -1, -2)
+
+
+def window_features(
+    coherence: FloatArray, power: FloatArray, mean_power: FloatArray | None = None
+) -> FloatArray:
+    """The features of windows whose ``coherences`` are known, also from frames before them.
+
+    Parameters and result are those of ``coherence_features``, with ``coherence`` (..., 3, F, L).
+    """
+    coherence, power = np.swapaxes(coherence, -1, -2), np.swapaxes(power, -1, -2)
     reference = power.mean(axis=(-2, -1)) if mean_power is None else mean_power
     mean = np.maximum(reference, np.finfo(np.float32).tiny)[..., None, None]
     level = np.float32(LEVEL_SCALE) * np.log(power / mean + np.float32(LEVEL_FLOOR))
-    conjugate = np.conj(unit)
-    features = np.zeros((*power.shape[:-2], NUM_FEATURES, *power.shape[-2:]), dtype=np.float32)
+    features = np.empty((*power.shape[:-2], NUM_FEATURES, *power.shape[-2:]), dtype=np.float32)
     features[..., 0, :, :] = level
     np.subtract(level[..., 1:, :], level[..., :-1, :], out=features[..., 1, 1:, :])
-    for lag in (1, 2):
-        product = unit[..., lag:, :] * conjugate[..., :-lag, :]
-        np.abs(product.sum(axis=-3), out=features[..., 1 + lag, lag:, :])
-    product = unit[..., BIN_LAG:] * conjugate[..., :-BIN_LAG]
-    np.abs(product.sum(axis=-3), out=features[..., 4, :, BIN_LAG:])
+    features[..., 1, 0, :] = 0
+    features[..., 2:, :, :] = coherence
+    for lag in LAGS:
+        features[..., 1 + lag, :lag, :] = 0
     return np.swapaxes(features, -1, -2)

@@ -9,7 +9,12 @@ import numpy as np
 
 from service.doa.array import MicrophoneArray
 from service.doa.covariance import chosen_and_sum, diagonal_loading, weighted_covariance
-from service.doa.features import coherence_features, unit_vectors_and_power
+from service.doa.features import (
+    coherence_features,
+    coherences,
+    unit_vectors_and_power,
+    window_features,
+)
 from service.doa.mirror import into_searched_half
 from service.doa.rank_one import RankOneMusic, shared_music
 from service.doa.steering import azimuth_grid, resolution, steering_vectors
@@ -93,21 +98,28 @@ class CandidateSearch:
 
     def candidates(self, windows: FloatArray) -> list[Candidates]:
         """Candidate sources of every window (B, N, T), before counting."""
-        return self._candidates(*unit_vectors_and_power(self.spectra(windows)))
+        unit, power = unit_vectors_and_power(self.spectra(windows))
+        return self._candidates(unit, self.features(unit, power))
 
     def candidates_of(self, stretch: Stretch) -> list[Candidates]:
-        """Candidate sources of every window of a stretch; frames that they share have one STFT."""
+        """Candidate sources of every window of a stretch.
+
+        Frames that windows share have one STFT and one coherence with those before them.
+        """
         stft = self._analysis.stft
         frames = whole_blocks(stft.num_frames(stretch.length))
         if stretch.hop % stft.hop or frames > stft.num_frames(stretch.length):
             return self.candidates(stretch.windows)
         unit, power = unit_vectors_and_power(self.band(stft.transform(stretch.audio)))
         hop = stretch.hop // stft.hop
-        return self._candidates(sliding(unit, frames, hop), sliding(power, frames, hop))
+        features = window_features(
+            sliding(coherences(unit), frames, hop), sliding(power, frames, hop)
+        )
+        return self._candidates(sliding(unit, frames, hop), np.swapaxes(features, -1, -2))
 
-    def _candidates(self, unit: ComplexArray, power: FloatArray) -> list[Candidates]:
-        """Of windows' (B, N, F, L) and (B, F, L)."""
-        weights, attention = self.weigh(self.features(unit, power))
+    def _candidates(self, unit: ComplexArray, features: FloatArray) -> list[Candidates]:
+        """Of windows' unit vectors (B, N, F, L) and features (B, 5, L, F)."""
+        weights, attention = self.weigh(features)
         # One window at a time: its spectra are megabytes and stay in the cache.
         return [self._search(*window) for window in zip(unit, weights, attention, strict=True)]
 

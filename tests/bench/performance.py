@@ -14,8 +14,10 @@ import os
 import statistics
 import subprocess
 import tempfile
+import threading
 import time
-from contextlib import AsyncExitStack
+from collections.abc import Iterator
+from contextlib import AsyncExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -101,9 +103,9 @@ def files(lengths_s: list[int]) -> list[dict[str, float]]:
             (worker,) = served.workers("recording_worker")
             path = Path(folder) / "long.wav"
             write_recording(path, seconds)
-            at_rest = pss_mb(worker)
+            at_rest = family_mb(worker)
             began, computed = time.monotonic(), cpu_s(worker)
-            with path.open("rb") as audio:
+            with path.open("rb") as audio, watched(worker) as megabytes:
                 answer = httpx2.post(
                     f"{served.url}/localize",
                     files={"audio": audio},
@@ -119,7 +121,7 @@ def files(lengths_s: list[int]) -> list[dict[str, float]]:
                     "seconds": round(spent, 2),
                     "times_real_time": round(seconds / spent, 1),
                     "worker_cpu_s": round(cpu_s(worker) - computed, 2),
-                    "worker_peak_mb": round(peak_mb(worker), 1),
+                    "worker_peak_mb": round(max(megabytes), 1),
                     "worker_at_rest_mb": round(at_rest, 1),
                     "answer_mb": round(len(answer.content) / 1e6, 1),
                 }
@@ -136,12 +138,28 @@ def write_recording(path: Path, seconds: int) -> None:
             file.write(part[: min(PART_S, seconds - begin) * RATE])
 
 
-def peak_mb(pid: int) -> float:
-    """The most resident memory that a process ever had."""
-    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
-        if line.startswith("VmHWM:"):
-            return int(line.split()[1]) / 1024
-    return 0.0
+@contextmanager
+def watched(pid: int) -> Iterator[list[float]]:
+    """Megabytes of a process and its children, several times a second."""
+    megabytes = [family_mb(pid)]
+    ended = threading.Event()
+
+    def watch() -> None:
+        while not ended.wait(0.2):
+            megabytes.append(family_mb(pid))
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    try:
+        yield megabytes
+    finally:
+        ended.set()
+        watcher.join()
+
+
+def family_mb(pid: int) -> float:
+    """Proportional set size of a process and its children."""
+    return sum(map(pss_mb, (pid, *children(pid))))
 
 
 def memory(count: int, seconds: float) -> dict[str, float]:

@@ -165,10 +165,10 @@ def command_line(pid: int) -> str:
 
 
 def cpu_s(pid: int) -> float:
-    """Seconds that a process has computed so far."""
+    """Seconds that a process and its children that ended have computed so far."""
     with suppress(OSError):
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
     return 0.0
 
 
