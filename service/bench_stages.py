@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from service.doa.array import MicrophoneArray
-from service.doa.features import unit_vectors_and_power
+from service.doa.features import coherences, unit_vectors_and_power
 from service.doa.fusion import attention_fusion
 from service.doa.peaks import find_peaks
-from service.doa.types import FloatArray
+from service.doa.types import ComplexArray, FloatArray
 from service.inference.bundle import Bundle
 from service.inference.candidates import find_findings
 from service.inference.descriptors import describe
@@ -38,16 +38,16 @@ def window_stages(
     analysis = analysis_of(bundle)
     search = CandidateSearch(bundle.covariance, analysis, array)
     yield "stft", lambda window: search.spectra(window[None]), windows
-    spectra = [search.spectra(window[None]) for window in windows]
-    yield "features", lambda each: search.features(*unit_vectors_and_power(each)), spectra
-    frames = [unit_vectors_and_power(each) for each in spectra]
-    features = [search.features(*each) for each in frames]
+    spectra = [search.spectra(window[None])[0] for window in windows]
+    yield "features", lambda each: _features(search, each)[1], spectra
+    frames = [_features(search, each) for each in spectra]
+    features = [each for _, each in frames]
     yield "covariance_net", search.weigh, features
     weighed = [search.weigh(each) for each in features]
-    means = [block_means(attention[0]) for _, attention in weighed]
+    means = [block_means(attention) for _, attention in weighed]
     chosen = [strongest_blocks(each, analysis.kept_share) for each in means]
-    units = [unit[0] for unit, _ in frames]
-    weights = [each[0] for each, _ in weighed]
+    units = [unit for unit, _ in frames]
+    weights = [each for each, _ in weighed]
     formed = list(zip(units, weights, chosen, strict=True))
     yield "covariance", lambda each: cell_covariances(*each), formed
     covariances = [cell_covariances(*each) for each in formed]
@@ -71,3 +71,8 @@ def window_stages(
     )
     descriptors = [np.pad(describe(*each), [(0, 4 - len(each[1])), (0, 0)])[None] for each in found]
     yield "count_net", lambda each: bundle.source_count.run([each]), descriptors
+
+
+def _features(search: CandidateSearch, spectra: ComplexArray) -> tuple[ComplexArray, FloatArray]:
+    unit, power = unit_vectors_and_power(spectra)
+    return unit, search.features(coherences(unit), power)

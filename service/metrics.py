@@ -102,7 +102,7 @@ class Metrics:
             "lag_seconds", "Lag of results, as the protocol defines it.", LATENCY_S
         )
         self._batch = histogram(
-            "batch_windows", "Windows of recordings per network call.", BATCH_WINDOWS
+            "batch_windows", "Windows of recordings computed at a time.", BATCH_WINDOWS
         )
         self._errors = counter("errors_total", "Problems and stream errors, by code.", "code")
         self._requests = counter(
@@ -185,7 +185,7 @@ class Metrics:
         self._inference[kind].observe(worked_s)
 
     def batch(self, windows: int) -> None:
-        """Count one network call for windows of a recording."""
+        """Count so many windows of a recording that were computed at a time."""
         self._batch.observe(windows)
 
     def worker_lost(self, kind: Kind) -> None:

@@ -10,7 +10,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import BinaryIO
 
@@ -59,15 +59,15 @@ def work_until_end(link: Link, registry: BundleRegistry, processes: int = 1) -> 
 def _outcome(
     job: RecordingJob,
     descriptor: int | None,
-    localize: Callable[[RecordingJob, BinaryIO], tuple[bytes, int]],
+    localize: Callable[[RecordingJob, BinaryIO], tuple[bytes, Mapping[int, int]]],
 ) -> Outcome | None:
     assert descriptor is not None
     began = time.monotonic()
     try:
         with os.fdopen(descriptor, "rb") as file:
             file.seek(0)
-            body, windows = localize(job, file)
-        return Localized(body, windows, time.monotonic() - began)
+            body, stretches = localize(job, file)
+        return Localized(body, stretches, time.monotonic() - began)
     except Unwanted:
         return None
     except WorkerLost:

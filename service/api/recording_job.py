@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import BinaryIO
 
@@ -51,7 +51,8 @@ class Localized:
 
     body: bytes
     """JSON"""
-    windows: int
+    stretches: Mapping[int, int]
+    """How often so many windows were computed at a time"""
     seconds: float
     """That it took"""
 
@@ -73,8 +74,8 @@ def localize_file(
     registry: BundleRegistry,
     report: Callable[[Report], None],
     processes: int = 1,
-) -> tuple[bytes, int]:
-    """The answer's JSON, and its number of windows.
+) -> tuple[bytes, Mapping[int, int]]:
+    """The answer's JSON, and how often so many windows were computed at a time.
 
     Raises
     ------
@@ -94,7 +95,7 @@ def localize_file(
             lambda share: report(Progress(share)),
             processes=processes,
         )
-    return localization_json(result, spectrum=asked.spectrum), len(result.windows)
+    return localization_json(result, spectrum=asked.spectrum), result.stretches
 
 
 def _check_windows(duration: float, asked: LocalizeRequest) -> None:

@@ -17,7 +17,6 @@ from starlette.requests import ClientDisconnect, Request
 from service.api.recording_job import Localized, Opened, Outcome, RecordingJob, Refused, Report
 from service.api.worker_process import WorkerProcess
 from service.errors import DecodingFailed, DoaError, Draining, Overloaded, WorkerLost
-from service.inference.recording import STRETCH_WINDOWS
 from service.metrics import Metrics
 from service.worker_link import Link, Setup
 
@@ -217,9 +216,9 @@ class RecordingWorkers:
         """Count a recording that was answered after so many seconds."""
         self._metrics.worked("file", max(seconds - localized.seconds, 0.0), localized.seconds)
         self._metrics.audio("file", audio_s)
-        full, rest = divmod(localized.windows, STRETCH_WINDOWS)
-        for windows in (*[STRETCH_WINDOWS] * full, *[rest] * bool(rest)):
-            self._metrics.batch(windows)
+        for windows, times in localized.stretches.items():
+            for _ in range(times):
+                self._metrics.batch(windows)
 
     def _localize(
         self, job: RecordingJob, file: BinaryIO, check: Callable[[Report], None]

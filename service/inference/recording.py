@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -79,7 +80,8 @@ def localize_recording(
     diagnostics = ChannelDiagnostics(stft.sample_rate, array.num_microphones, channel_map)
     blocks = _observed(recording.blocks(channel_map, stft.sample_rate), diagnostics)
     cut = windows(blocks, stft.sample_rate, options.window_s, options.hop_s, stft.n_fft - stft.hop)
-    joined = stretches(cut, STRETCH_WINDOWS)
+    sizes: Counter[int] = Counter()
+    joined = _counted(stretches(cut, STRETCH_WINDOWS), sizes)
     estimated = in_order(partial(_estimate, localizer, options), joined, processes)
     results = PackedWindows(options.orientation, spectra=options.spectra)
     for window in identified(_placed(estimated, options, recording.duration, progress)):
@@ -97,7 +99,14 @@ def localize_recording(
         windows=results,
         summary=summarise(results),
         warnings=_warnings(options, method, array, diagnostics),
+        stretches=sizes,
     )
+
+
+def _counted(joined: Iterable[Stretch], sizes: Counter[int]) -> Iterator[Stretch]:
+    for stretch in joined:
+        sizes[len(stretch.starts)] += 1
+        yield stretch
 
 
 def _estimate(

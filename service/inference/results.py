@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
@@ -128,3 +128,5 @@ class RecordingResult:
     windows: Sequence[WindowResult]
     summary: Sequence[SummarySource]
     warnings: Sequence[AudioWarning] = field(default_factory=tuple)
+    stretches: Mapping[int, int] = field(default_factory=dict)
+    """How often so many windows were computed at a time"""

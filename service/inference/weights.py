@@ -9,12 +9,7 @@ import numpy as np
 
 from service.doa.array import MicrophoneArray
 from service.doa.covariance import chosen_and_sum, diagonal_loading, weighted_covariance
-from service.doa.features import (
-    coherence_features,
-    coherences,
-    unit_vectors_and_power,
-    window_features,
-)
+from service.doa.features import coherences, unit_vectors_and_power, window_features
 from service.doa.mirror import into_searched_half
 from service.doa.rank_one import RankOneMusic, shared_music
 from service.doa.steering import azimuth_grid, resolution, steering_vectors
@@ -99,7 +94,7 @@ class CandidateSearch:
     def candidates(self, windows: FloatArray) -> list[Candidates]:
         """Candidate sources of every window (B, N, T), before counting."""
         unit, power = unit_vectors_and_power(self.spectra(windows))
-        return self._candidates(unit, self.features(unit, power))
+        return self._candidates(unit, power, coherences(unit))
 
     def candidates_of(self, stretch: Stretch) -> list[Candidates]:
         """Candidate sources of every window of a stretch.
@@ -112,18 +107,21 @@ class CandidateSearch:
             return self.candidates(stretch.windows)
         unit, power = unit_vectors_and_power(self.band(stft.transform(stretch.audio)))
         hop = stretch.hop // stft.hop
-        features = window_features(
-            sliding(coherences(unit), frames, hop), sliding(power, frames, hop)
+        return self._candidates(
+            sliding(unit, frames, hop),
+            sliding(power, frames, hop),
+            sliding(coherences(unit), frames, hop),
         )
-        return self._candidates(sliding(unit, frames, hop), np.swapaxes(features, -1, -2))
 
-    def _candidates(self, unit: ComplexArray, features: FloatArray) -> list[Candidates]:
-        """Of windows' unit vectors (B, N, F, L) and features (B, 5, L, F)."""
-        weights, attention = self.weigh(features)
-        # One window at a time: its spectra are megabytes and stay in the cache.
-        return [self._search(*window) for window in zip(unit, weights, attention, strict=True)]
+    def _candidates(
+        self, unit: ComplexArray, power: FloatArray, coherence: FloatArray
+    ) -> list[Candidates]:
+        """Of windows' unit vectors (B, N, F, L), powers (B, F, L) and coherences (B, 3, F, L)."""
+        # One window at a time: what a stage leaves is in the cache for the next one.
+        return [self._search(*window) for window in zip(unit, power, coherence, strict=True)]
 
-    def _search(self, unit: ComplexArray, weights: FloatArray, attention: FloatArray) -> Candidates:
+    def _search(self, unit: ComplexArray, power: FloatArray, coherence: FloatArray) -> Candidates:
+        weights, attention = self.weigh(self.features(coherence, power))
         means = block_means(attention)
         chosen = strongest_blocks(means, self._analysis.kept_share)
         principal, dominance = principal_eigenvectors(cell_covariances(unit, weights, chosen))
@@ -180,14 +178,14 @@ class CandidateSearch:
         band: ComplexArray = spectra[..., self._bins, :]
         return band if self._whitening is None else self._whitening.apply(band)
 
-    def features(self, unit: ComplexArray, power: FloatArray) -> FloatArray:
-        """The covariance network's input (B, 5, L, F)."""
-        return np.swapaxes(coherence_features(unit, power), -1, -2)
+    def features(self, coherence: FloatArray, power: FloatArray) -> FloatArray:
+        """The covariance network's input (5, L, F) of a window's coherences and powers."""
+        return np.swapaxes(window_features(coherence, power), -1, -2)
 
     def weigh(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Weights and attentions (B, F, L) from the covariance network."""
-        weights, attention = self._covariance.run([features])
-        return np.swapaxes(weights, 1, 2), np.swapaxes(attention, 1, 2)
+        """A window's weights and attentions (F, L) from the covariance network."""
+        weights, attention = self._covariance.run([features[None]])
+        return weights[0].T, attention[0].T
 
     def cell_spectra(self, principal: ComplexArray) -> FloatArray:
         """Rank-one MUSIC of every cell: (R, F, N) to (F, R, A) float32, maximum 1 each."""
