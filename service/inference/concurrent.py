@@ -132,6 +132,8 @@ def _take_up(work: Callable[[InputT], ResultT], mailbox: Mailbox, parent: int) -
     """Begin a helper's life, which ends with its parent's, however that ends."""
     global _work, _mailbox
     _work, _mailbox = work, mailbox
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # how the pool ends the others when one is lost
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)

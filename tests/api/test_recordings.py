@@ -6,10 +6,12 @@ import io
 import os
 import signal
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -149,6 +151,44 @@ def test_a_worker_that_dies_takes_one_recording_with_it(
     assert ("retry-after" in response.headers) == (status == 503)
     assert running.post().status_code == 200
     assert running.pid != lost
+
+
+def helpers(pid: int) -> list[int]:
+    """The processes that a worker forked for a long recording."""
+    with suppress(OSError):
+        return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    return []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers fork helpers on Linux only")
+def test_a_helper_that_dies_takes_one_recording_with_it(service: Any) -> None:
+    running = service(threads=2)
+    assert running.post().status_code == 200
+    worker = running.pid
+    long = running.executor.submit(running.post, silence(1800).getvalue())
+    while not (forked := helpers(worker)):
+        assert running.client.get("/livez").status_code == 200
+        assert not long.done()
+    os.kill(forked[0], signal.SIGKILL)
+    response = long.result(PATIENCE)
+    assert (response.status_code, response.json()["code"]) == (503, "worker_lost")
+    assert not helpers(worker)
+    assert running.post().status_code == 200
+    assert running.pid != worker
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers fork helpers on Linux only")
+def test_a_long_recording_is_the_same_from_one_process_and_from_three(service: Any) -> None:
+    rng = np.random.default_rng(0)
+    file = io.BytesIO()
+    noise = (
+        rng.normal(0, 0.1, (45 * 16_000, 4)) * (np.sin(np.arange(45 * 16_000) / 9e3) > 0)[:, None]
+    )
+    soundfile.write(file, noise, 16_000, format="WAV", subtype="PCM_16")
+    alone, shared = (service(threads=n).post(file.getvalue()).json() for n in (1, 3))
+    assert len(alone["windows"]) == 87
+    assert shared["windows"] == alone["windows"]
+    assert shared["summary"] == alone["summary"]
 
 
 def test_a_worker_that_stalls_is_replaced(service: Any) -> None:
