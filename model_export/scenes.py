@@ -37,6 +37,11 @@ DIRECT_SECONDS = 1e-3
 AUDIBLE = 0.02
 """Of its mean power over the whole scene: a talker that is quieter in a part of it is not there"""
 
+LATE = (0.3, 0.95)
+"""Of the window: where talkers begin in it"""
+ONSET_LEVEL = 0.1
+"""Of a clip's peak: where its sound begins"""
+
 
 @dataclass(frozen=True, slots=True)
 class SceneConfig:
@@ -61,6 +66,8 @@ class SceneConfig:
     crosstalk: float = 0.15
     band_limit: float = 0.12
     quantised: float = 0.2
+    late: float = 0.0
+    """All talkers begin inside the window, as a stream hears them first"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,12 +133,14 @@ def draw_scene(
     count = int(rng.choice(len(config.source_counts), p=config.source_counts))
     chosen = _separated(rng, chunk["azimuth"][room], count, config.min_separation)
     start = int(rng.integers(0, DRY_SAMPLES - WINDOW_SAMPLES))
+    late = config.late > 0 and rng.random() < config.late
+    begins = start + round(float(rng.uniform(*LATE)) * WINDOW_SAMPLES) if late else 0
     audio = np.zeros((len(positions), WINDOW_SAMPLES), dtype=np.float32)
     direct = np.zeros((len(chosen), WINDOW_SAMPLES), dtype=np.float32)
     for rank, source in enumerate(chosen):
         responses = chunk["responses"][room, source].astype(np.float32)
         first = direct_response(responses[0], float(chunk["distance"][room, source]))
-        dry = dry_speech(rng, speech, start)
+        dry = late_speech(rng, speech, begins) if late else dry_speech(rng, speech, start)
         wet = convolve(dry, np.concatenate([responses, first[None]]))
         level = 10 ** (rng.uniform(-1, 1) * config.level_difference_db / 40)
         wet = np.float32(level) * unit_power(wet[:, start : start + WINDOW_SAMPLES])
@@ -172,6 +181,16 @@ def dry_speech(rng: np.random.Generator, speech: Sequence[FloatArray], start: in
         return repeated[:DRY_SAMPLES]
     begin = min(max(0, start + int(rng.integers(-4000, 6000))), DRY_SAMPLES - len(clip))
     dry[begin : begin + len(clip)] = clip
+    return dry
+
+
+def late_speech(rng: np.random.Generator, speech: Sequence[FloatArray], begins: int) -> FloatArray:
+    """(DRY_SAMPLES,) float32 of one talker whose first sound is at ``begins``."""
+    clip = speech[int(rng.integers(len(speech)))]
+    level = np.abs(clip)
+    sound = clip[int(np.argmax(level > ONSET_LEVEL * level.max())) :][: DRY_SAMPLES - begins]
+    dry = np.zeros(DRY_SAMPLES, dtype=np.float32)
+    dry[begins : begins + len(sound)] = sound
     return dry
 
 

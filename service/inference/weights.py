@@ -99,9 +99,16 @@ class CandidateSearch:
     def candidates_of(self, stretch: Stretch) -> list[Candidates]:
         """Candidate sources of every window of a stretch.
 
-        Frames that windows share have one STFT and one coherence with those before them.
+        Frames that windows share have one STFT and one coherence with those before them. Of a
+        window in which the recording ends only what was heard is looked at: sound that breaks off
+        into padding looks like somebody's.
         """
         stft = self._analysis.stft
+        heard = stretch.heard[-1]
+        if heard < stretch.length - (stft.n_fft - stft.hop):
+            last = self.candidates(stretch.windows[-1:, :, : max(heard, stft.n_fft)])
+            before = self.candidates_of(stretch.without_last()) if len(stretch.heard) > 1 else []
+            return [*before, *last]
         frames = whole_blocks(stft.num_frames(stretch.length))
         if stretch.hop % stft.hop or frames > stft.num_frames(stretch.length):
             return self.candidates(stretch.windows)

@@ -6,7 +6,7 @@ Windows that overlap are joined to stretches, which hold what their windows shar
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -82,6 +82,11 @@ class Stretch:
     """Samples of a window"""
     hop: int
     """Samples from one window's first to the next one's"""
+
+    def without_last(self) -> Stretch:
+        """All but the last window."""
+        audio = np.ascontiguousarray(self.audio[:, : -self.hop])
+        return replace(self, starts=self.starts[:-1], heard=self.heard[:-1], audio=audio)
 
     @property
     def windows(self) -> FloatArray:

@@ -179,25 +179,47 @@ def test_the_paper_s_room_is_the_paper_s() -> None:
     assert (room.size, room.centre, room.max_order) == ((7, 7, 3), (3, 3, 1), 4)
 
 
-def test_training_scenes_hold_what_they_say(voices) -> None:
-    rng = np.random.default_rng(8)
+PLACES = np.deg2rad([20.0, 120.0, 250.0, 255.0])
+
+
+@pytest.fixture(scope="module")
+def chunk() -> dict[str, np.ndarray]:
+    """One room with four places for sources."""
     array = preset("respeaker-usb-4mic-v2")
-    azimuth = np.deg2rad([20.0, 120.0, 250.0, 255.0])
-    sources = 1.5 * unit_vectors(azimuth)
-    chunk = {
+    sources = 1.5 * unit_vectors(PLACES)
+    rng = np.random.default_rng(8)
+    return {
         "positions": array.positions[None],
-        "azimuth": azimuth[None],
+        "azimuth": PLACES[None],
         "responses": impulse_responses(paper_room(1), array.positions, sources)[None],
         "diffuse": diffuse_noise(rng, array.positions, WINDOW_SAMPLES)[None],
         "distance": np.full((1, 4), 1.5),
     }
+
+
+def test_talkers_that_come_late_begin_inside_the_window_and_are_heard(voices, chunk) -> None:
+    rng = np.random.default_rng(9)
+    config = SceneConfig(source_counts=(0.0, 0.6, 0.4), late=1.0)
+    begins = []
+    for _ in range(30):
+        scene = draw_scene(rng, chunk, voices, config)
+        power = np.square(scene.direct).mean(axis=1)
+        assert power.min() > 0.1 * power.max() > 0
+        loud = np.square(scene.direct) > 1e-3 * np.square(scene.direct).max(axis=1, keepdims=True)
+        begins += list(loud.argmax(axis=1) / WINDOW_SAMPLES)
+    assert 0.25 < min(begins) < 0.5
+    assert 0.8 < max(begins) < 1.0
+
+
+def test_training_scenes_hold_what_they_say(voices, chunk) -> None:
+    rng = np.random.default_rng(8)
     counts = []
     for _ in range(60):
         scene = draw_scene(rng, chunk, voices, SceneConfig(source_counts=(0.3, 0.3, 0.3, 0.1)))
         assert scene.audio.shape == (4, WINDOW_SAMPLES)
         assert np.isfinite(scene.audio).all()
         assert scene.direct.shape == (len(scene.azimuth), WINDOW_SAMPLES)
-        assert set(np.round(scene.azimuth, 6)) <= set(np.round(azimuth, 6))
+        assert set(np.round(scene.azimuth, 6)) <= set(np.round(PLACES, 6))
         counts.append(len(scene.azimuth))
         if len(scene.azimuth) > 1:  # two of the sources are too close to sound together
             gaps = circular_error(scene.azimuth[:, None], scene.azimuth[None])

@@ -176,8 +176,10 @@ def test_a_stretch_gives_what_its_windows_give_alone(
     assert len(stretch.starts) > 2
     chosen = localizer(method, array, registry)
     together = estimate_stretch(chosen, stretch, 2, 3)
-    for found, window in zip(together, stretch.windows, strict=True):
-        (alone,) = chosen.estimate(window[None], 2, 3)
+    length = stretch.length - tail
+    for found, window, heard in zip(together, stretch.windows, stretch.heard, strict=True):
+        ends = heard < length and method == "neural"  # then only what was heard is looked at
+        (alone,) = chosen.estimate(window[None, :, :heard] if ends else window[None], 2, 3)
         np.testing.assert_allclose(found.spectrum, alone.spectrum, atol=1e-4)
         assert [s.azimuth for s in found.sources] == pytest.approx(
             [s.azimuth for s in alone.sources], abs=1e-3
