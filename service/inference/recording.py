@@ -23,7 +23,7 @@ from service.inference.choice import (
     method_warnings,
 )
 from service.inference.classical import ClassicalLocalizer
-from service.inference.concurrent import in_order
+from service.inference.forked_workers import in_order
 from service.inference.identities import identified
 from service.inference.localizer import Localizer, estimate_stretch, localizer_of
 from service.inference.packed_windows import PackedWindows

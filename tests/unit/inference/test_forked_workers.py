@@ -15,7 +15,7 @@ import pytest
 
 from service.doa.types import FloatArray
 from service.errors import WorkerLost
-from service.inference.concurrent import AHEAD, FEW, in_order
+from service.inference.forked_workers import AHEAD, FEW, in_order
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="helpers are forked on Linux only")
 
@@ -107,7 +107,7 @@ def test_helpers_do_not_outlive_a_killed_caller() -> None:
     script = (
         "import os\n"
         "from itertools import count\n"
-        "from service.inference.concurrent import in_order\n"
+        "from service.inference.forked_workers import in_order\n"
         "for _, pid in in_order(lambda _: os.getpid(), count(), 2): print(pid, flush=True)\n"
     )
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as caller:
