@@ -34,6 +34,8 @@ AHEAD = 2
 """Inputs per process that are handed over before the first one's result is asked for"""
 ALIGNMENT = 64
 """Bytes: where an array may begin"""
+NICENESS = 10
+"""Streams and requests that somebody waits for go first"""
 PR_SET_PDEATHSIG = 1
 
 
@@ -132,6 +134,7 @@ def _take_up(work: Callable[[InputT], ResultT], mailbox: Mailbox, parent: int) -
     """Begin a helper's life, which ends with its parent's, however that ends."""
     global _work, _mailbox
     _work, _mailbox = work, mailbox
+    os.nice(NICENESS)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # how the pool ends the others when one is lost
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
