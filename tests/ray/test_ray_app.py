@@ -8,7 +8,7 @@ import signal
 from collections.abc import Iterator
 from contextlib import ExitStack
 from importlib import import_module
-from itertools import cycle
+from itertools import cycle, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -58,9 +58,10 @@ class Robot:
 
     @property
     def heard(self) -> bool:
-        """True where the newest session has given a result."""
-        kinds = [type(event) for event in reversed(self.events)]
-        return Result in kinds[: kinds.index(Ready)] if Ready in kinds else False
+        """True where the newest session has reported a talker; its first results have none yet."""
+        session = takewhile(lambda event: not isinstance(event, Ready), reversed(self.events))
+        results = (event for event in session if isinstance(event, Result))
+        return any(source.active for result in results for source in result.sources)
 
 
 @pytest.fixture
