@@ -91,7 +91,7 @@ def _along_time(image: Tensor, convolution: nn.Conv1d) -> Tensor:
 
 
 class Ahead(nn.Sequential):
-    """Three frames, one of them ahead, by ``width`` bins or rows, every ``stride`` of them."""
+    """Three frames, one of them ahead, by ``width`` bins or rows around every ``stride`` of them."""
 
     looks_ahead = True
 
@@ -102,7 +102,7 @@ class Ahead(nn.Sequential):
                 outputs,
                 (3, width),
                 stride=(1, stride),
-                padding=(0, width // 2),
+                padding=(0, (width - stride + 1) // 2),
                 bias=False,
             ),
             nn.BatchNorm2d(outputs, momentum=NORM_MOMENTUM),
@@ -166,7 +166,8 @@ def _ahead(trunk: Trunk) -> list[nn.Module]:
             Ahead(32, 40),
             Ahead(40, CHANNELS),
         ]
-    first = Ahead(BINS_PER_ROW * (NUM_FEATURES + 1), CHANNELS)
+    # A row's four bins and those of both neighbours: strided, nothing has to be copied together.
+    first = Ahead(NUM_FEATURES + 1, CHANNELS, 3 * BINS_PER_ROW, BINS_PER_ROW)
     return [first, *(Separable(CHANNELS, 5) for _ in range(3))]
 
 
@@ -181,13 +182,12 @@ class WeightsNetwork(nn.Module):
     ----------
     trunk : str
         ``"strided"`` reduces four bins to one row by two strides, all convolutions being dense;
-        ``"separable"`` takes four bins as channels of one row and separates what follows, which
-        costs half as much (docs/performance.md).
+        ``"separable"`` by one, and separates what follows, which costs half as much
+        (docs/performance.md).
     """
 
     def __init__(self, trunk: Trunk = "strided") -> None:
         super().__init__()
-        self.trunk = trunk
         ahead = _ahead(trunk)
         self.lookahead = len(ahead)
         self.blocks = nn.Sequential(
@@ -213,10 +213,7 @@ class WeightsNetwork(nn.Module):
         batch, _, frames, bins = features.shape
         # Where a bin lies decides how much an array can hear there; the convolutions cannot tell.
         height = torch.linspace(-1, 1, bins, device=features.device, dtype=features.dtype)
-        height = height.reshape(1, 1, 1, bins)
-        if self.trunk == "separable":
-            features, height = _stacked(features), _stacked(height)
-        return torch.cat([features, height.expand(batch, -1, frames, -1)], 1)
+        return torch.cat([features, height.expand(batch, 1, frames, bins)], 1)
 
     def cells(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
         """Weights and attentions of every cell, each (B, L, F)."""
@@ -231,13 +228,6 @@ class WeightsNetwork(nn.Module):
 def _softplus(logits: Tensor) -> Tensor:
     """log(1 + e^x) of operations that onnxruntime vectorises; its own takes five times as long."""
     return F.relu(logits) + torch.log(1 + torch.exp(-logits.abs()))
-
-
-def _stacked(image: Tensor) -> Tensor:
-    """From (B, C, L, F) to (B, C * 4, L, F/4): four neighbouring bins as channels of one row."""
-    batch, channels, frames, bins = image.shape
-    rows = image.reshape(batch, channels, frames, bins // BINS_PER_ROW, BINS_PER_ROW)
-    return rows.permute(0, 1, 4, 2, 3).reshape(batch, channels * BINS_PER_ROW, frames, -1)
 
 
 def _every_bin(rows: Tensor, outputs: int) -> Tensor:

@@ -17,7 +17,6 @@ from torch import Tensor, nn
 
 from model_export.export import ExportGraph
 from model_export.weights import (
-    BINS_PER_ROW,
     Ahead,
     BandContext,
     PastContext,
@@ -76,7 +75,7 @@ class StreamingWeightsNetwork(nn.Module):
     def initial_state(self, batch: int, bins: int) -> dict[str, Tensor]:
         """Zeros, before the stream begins, by the state's name."""
         state = {}
-        width = bins if self.network.trunk == "strided" else bins // BINS_PER_ROW
+        width = bins
         for index, block in enumerate(self.network.blocks):
             if isinstance(block, BandContext):
                 shape = (batch, block.first.in_channels, block.reach, 1)

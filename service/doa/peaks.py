@@ -40,14 +40,15 @@ def find_peaks(
     """
     closed = np.concatenate([spectrum[-1:], spectrum, spectrum[:1]])
     # The strict side makes a plateau of two equal samples one maximum instead of none or two.
-    candidates = np.flatnonzero((spectrum > closed[:-2]) & (spectrum >= closed[2:]))
-    order = candidates[np.argsort(-spectrum[candidates], kind="stable")]
+    rises = closed[1:] > closed[:-1]
+    candidates = np.flatnonzero(rises[:-1] > rises[1:]).tolist()
+    order = sorted(candidates, key=lambda index: -float(spectrum[index]))
     step = 2 * np.pi / spectrum.size
     kept: list[Peak] = []
     for index in order:
         if len(kept) == max_peaks:
             break
-        azimuth = float((index + parabolic_offset(spectrum, int(index))) * step % (2 * np.pi))
+        azimuth = float((index + parabolic_offset(spectrum, index)) * step % (2 * np.pi))
         if all(abs(circular_difference(azimuth, peak.azimuth)) >= min_separation for peak in kept):
             kept.append(Peak(azimuth, float(spectrum[index])))
     return kept

@@ -22,7 +22,10 @@ NEIGHBOURHOOD = np.deg2rad(20.0)
 
 @dataclass(frozen=True)
 class Field:
-    """The C cells of one window, out of which candidates are taken; A azimuths, K blocks."""
+    """The C cells of one window, out of which candidates are taken; A azimuths, K blocks.
+
+    Cells lie bin by bin (or pair of bins), each with as many.
+    """
 
     cells: FloatArray
     """(C, A) float32 MUSIC spectra, maximum 1 each"""
@@ -32,8 +35,7 @@ class Field:
     """(C,) float32 in (0, 1]"""
     block: IntArray
     """(C,) block of every cell, the last of K being the whole window"""
-    bin: IntArray
-    """(C,) its bin, or pair of bins"""
+    num_bins: int
     num_blocks: int
     """K, the whole window included"""
     num_microphones: int
@@ -51,9 +53,13 @@ class Field:
         same: BoolArray = self.block == np.arange(self.num_blocks)[:, None]
         return same.astype(np.float32)
 
-    @property
-    def num_bins(self) -> int:
-        return int(self.bin.max()) + 1
+    def in_bins(self, weights: FloatArray) -> FloatArray:
+        """Sums (..., F) over each bin's cells of (..., C)."""
+        count = len(self.block) // self.num_bins
+        sums: FloatArray = weights[..., ::count].copy()
+        for place in range(1, count):  # numpy sums over a short last axis slowly
+            sums += weights[..., place::count]
+        return sums
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,48 +89,46 @@ def describe(field: Field, findings: Sequence[Finding]) -> FloatArray:
     total = np.float32(field.total)
     support = np.stack([found.support for found in findings]) / total  # (n, C)
     pointing = np.stack([found.pointing for found in findings])
-    remaining = np.array([found.remaining.sum() for found in findings]) / total
+    remaining = np.stack([found.remaining for found in findings])
     in_time = support @ field.of_block.T  # (n, K)
-    in_bins: FloatArray = np.stack(
-        [np.bincount(field.bin, each, field.num_bins).astype(np.float32) for each in support]
-    )
+    in_bins = field.in_bins(support)  # (n, F)
     mass = in_time.sum(axis=1)
     sharp = np.where(pointing > SHARP_LEVEL, support, np.float32(0))
     dominant = support @ field.dominance / np.maximum(mass, 1e-9)
-    first = findings[0].fused[[found.index for found in findings]]
     cells = field.num_blocks * field.num_bins  # those included that were never computed
-    loudness = 0.1 * np.log(field.total / cells + 1e-6)
-    same = (
-        float((field.attention * field.dominance).sum()) / field.total,
-        loudness,
-        field.num_microphones / 8,
-        field.resolution,
-    )
     columns = [
-        *np.array([_peak_shape(found) for found in findings]).T,
+        *_peak_shapes(findings),
         mass,
         _spread(in_time),
         _spread(in_bins),
-        remaining,
-        first,
+        remaining.sum(axis=1) / total,
+        findings[0].fused[[found.index for found in findings]],
         _nearest_earlier([found.azimuth for found in findings]),
-        *(np.full(len(findings), value) for value in same),
+        float(field.attention @ field.dominance) / field.total,
+        0.1 * np.log(field.total / cells + 1e-6),  # loudness
+        field.num_microphones / 8,
+        field.resolution,
         dominant,
         sharp.sum(axis=1),
         *_likeness(in_time[:, :-1], in_bins),
-        *_disagreement(field, findings, in_time[:, :-1]),
+        *_disagreement(field, findings, remaining, in_time[:, :-1]),
     ]
-    return np.stack(columns, axis=1).astype(np.float32)
+    descriptors = np.empty((len(findings), NUM_DESCRIPTORS), dtype=np.float32)
+    for place, column in enumerate(columns):
+        descriptors[:, place] = column
+    return descriptors
 
 
-def _peak_shape(found: Finding) -> tuple[float, float, float, float]:
-    """Height, the spectrum's mean, the second peak against the first, the fall over 10 degrees."""
-    peaks, fused = found.peaks, found.fused
-    second = peaks[1].height / peaks[0].height if len(peaks) > 1 else 0.0
-    step = max(1, round(fused.size / 36))
-    before, after = fused[found.index - step], fused[(found.index + step) % fused.size]
-    sides = (float(before) + float(after)) / 2
-    return peaks[0].height, float(fused.mean()), second, sides / peaks[0].height
+def _peak_shapes(findings: Sequence[Finding]) -> tuple[FloatArray, ...]:
+    """Heights, spectra's means, second peaks against the first, falls over 10 degrees."""
+    fused = np.stack([found.fused for found in findings])
+    rows, size = np.arange(len(findings)), fused.shape[1]
+    index = np.array([found.index for found in findings])
+    step = max(1, round(size / 36))
+    sides = (fused[rows, index - step] + fused[rows, (index + step) % size]) / 2
+    heights = np.array([found.peaks[0].height for found in findings])
+    second = np.array([found.peaks[1].height if len(found.peaks) > 1 else 0 for found in findings])
+    return heights, fused.mean(axis=1), second / heights, sides / heights
 
 
 def _nearest_earlier(azimuths: Sequence[float]) -> FloatArray:
@@ -150,19 +154,20 @@ def _likeness(in_time: FloatArray, in_bins: FloatArray) -> tuple[FloatArray, ...
 
 
 def _disagreement(
-    field: Field, findings: Sequence[Finding], weight: FloatArray
+    field: Field, findings: Sequence[Finding], remaining: FloatArray, weight: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Spread in units of 10 degrees of the blocks' own peaks near the candidates, and its drift.
 
-    The drift is the spread's part that goes with time: talkers that take turns. ``weight`` (n, K-1)
-    is what the blocks count.
+    The drift is the spread's part that goes with time: talkers that take turns. ``remaining`` (n, C)
+    are the findings' own, ``weight`` (n, K - 1) is what the blocks count.
     """
     size = findings[0].fused.size
     reach = round(NEIGHBOURHOOD / (2 * np.pi) * size)
+    weighted = field.of_block[:-1] * remaining[:, None]  # (n, K - 1, C)
     blocks = np.stack(
         [
-            (field.of_block[:-1] * found.remaining) @ _columns(field.cells, found.index, reach)
-            for found in findings
+            each @ _columns(field.cells, found.index, reach)
+            for each, found in zip(weighted, findings, strict=True)
         ]
     )  # (n, K - 1, 2 reach + 1)
     offset = (blocks.argmax(axis=2) - reach) * (36.0 / size)
@@ -188,12 +193,18 @@ def _columns(cells: FloatArray, index: int, reach: int) -> FloatArray:
 
 def _spread(weights: FloatArray) -> FloatArray:
     """Over which share of its places a row's weight is spread: 1 where evenly, 1 / size at one."""
-    squares = np.square(weights).sum(axis=1) * weights.shape[1]
+    squares = _squares(weights) * weights.shape[1]
     spread: FloatArray = np.square(weights.sum(axis=1)) / np.where(squares > 0, squares, 1)
     return spread
 
 
 def _cosine(rows: FloatArray, reference: FloatArray) -> FloatArray:
-    norms = np.sqrt(np.square(rows).sum(axis=1) * np.square(reference).sum())
+    norms = np.sqrt(_squares(rows) * (reference @ reference))
     cosine: FloatArray = (rows @ reference) / np.where(norms > 0, norms, 1)
     return cosine
+
+
+def _squares(rows: FloatArray) -> FloatArray:
+    """(n,) sums of squares of (n, K)."""
+    squares: FloatArray = np.einsum("nk,nk->n", rows, rows)
+    return squares

@@ -154,7 +154,7 @@ class CandidateSearch:
             Block indices.
         dominance : (R + 1, F)
         """
-        count, bins = dominance.shape
+        bins = dominance.shape[1]
         whole = np.full((1, bins), len(attention))
         attended = self.attend(attention, chosen, dominance)
         return Field(
@@ -162,7 +162,7 @@ class CandidateSearch:
             attended.T.ravel(),
             dominance.T.ravel(),
             np.concatenate([chosen, whole]).T.ravel(),
-            np.repeat(np.arange(bins), count),
+            bins,
             len(attention) + 1,
             self._array.num_microphones,
             self._resolution,
