@@ -34,13 +34,18 @@ class RankOneMusic:
         self._steering: ComplexArray | None = None
         self._products: FloatArray | None = None
         delays_alone = np.allclose(np.abs(steering), 1, atol=1e-5)  # not whitened
-        if microphones > MOST_PLANES or not delays_alone:
+        half = steering.shape[2] // 2
+        # Waves from opposite azimuths pass the microphones with opposite delays.
+        opposite = steering.shape[2] == 2 * half and np.allclose(
+            steering[..., half:], np.conj(steering[..., :half]), atol=1e-4
+        )
+        if microphones > MOST_PLANES or not (delays_alone and opposite):
             self._steering = steering
         else:
-            self._products = self._distance_products(steering)
+            self._products = self._distance_products(steering[..., :half])
 
     def _distance_products(self, steering: ComplexArray) -> FloatArray:
-        """What ``_coefficients`` are multiplied with to give distances: (F, 1 + N (N - 1), A).
+        """What ``_coefficients`` are multiplied with to give distances: (F, 1 + N (N - 1), A / 2).
 
         |u^H a|^2 = ||u||^2 + sum over pairs of 2 Re(u_i u_j^* a_i^* a_j), all |a_n| being one: for
         few microphones a real matrix product, less than the complex response and its square.
@@ -54,7 +59,8 @@ class RankOneMusic:
     def spectra(self, vectors: ComplexArray) -> FloatArray:
         """Spectra (F, K, A) float32, each with maximum 1, of unit vectors (K, F, N)."""
         if self._products is not None:
-            distance: FloatArray = self._coefficients(vectors) @ self._products
+            halves = self._coefficients(vectors) @ self._products  # (F, 2 K, A / 2)
+            distance: FloatArray = halves.reshape(len(halves), len(vectors), -1)
         else:
             assert self._steering is not None
             by_bin = np.ascontiguousarray(vectors.transpose(1, 2, 0))
@@ -64,13 +70,21 @@ class RankOneMusic:
         return distance
 
     def _coefficients(self, vectors: ComplexArray) -> FloatArray:
-        """1 and real and imaginary parts of u_i u_j^* of all pairs: (F, K, 1 + N (N - 1))."""
+        """1 and real and imaginary parts of u_i u_j^* of all pairs: (F, 2 K, 1 + N (N - 1)).
+
+        Two rows for every vector, the second for opposite azimuths: their products are the
+        conjugates.
+        """
         first, second = self._pairs
         planes = np.moveaxis(vectors, -1, 0)  # (N, K, F)
-        pairs = planes[first] * np.conj(planes[second])
-        ones = np.ones_like(pairs[:1].real)
-        rows = np.concatenate([ones, pairs.real, pairs.imag])
-        return np.ascontiguousarray(rows.transpose(2, 1, 0))
+        pairs = (planes[first] * np.conj(planes[second])).T  # (F, K, N (N - 1) / 2)
+        bins, count, number = pairs.shape
+        rows = np.empty((bins, count, 2, 1 + 2 * number), dtype=np.float32)
+        rows[..., 0] = 1
+        rows[..., 1 : 1 + number] = pairs.real[:, :, None]
+        rows[:, :, 0, 1 + number :] = pairs.imag
+        np.negative(pairs.imag, out=rows[:, :, 1, 1 + number :])
+        return rows.reshape(bins, 2 * count, -1)
 
 
 _shared: WeakValueDictionary[tuple[bytes, bytes, int, float], RankOneMusic] = WeakValueDictionary()
