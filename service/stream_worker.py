@@ -21,6 +21,10 @@ CHECK_DUTY = 0.03
 """Share of the time that looks at channels may take: a tenth of a second slows the results of all
 streams of this worker, so with many streams they take turns"""
 
+TIDY_EVERY_S = 10.0
+"""Seconds of work after which freed memory between the streams' arrays goes back to the system: what
+sessions keep lies among what steps free, and so much would stay as a session keeps"""
+
 Done = tuple[int, Outcome | None, float]
 """What goes back: the work's number, what came of it, the seconds that it took"""
 
@@ -29,6 +33,7 @@ def work_until_end(link: Link, host: StreamHost) -> None:
     """Do work in the order in which it comes, looks at channels beside it."""
     checks: SimpleQueue[tuple[int, Check]] = SimpleQueue()
     threading.Thread(target=_check_forever, args=(link, host, checks), daemon=True).start()
+    tidied = time.monotonic()
     while True:
         number, work = _received(link)
         if isinstance(work, Check):
@@ -38,8 +43,9 @@ def work_until_end(link: Link, host: StreamHost) -> None:
         outcome = host.perform(work)
         if outcome is not None:
             link.send((number, outcome, time.monotonic() - began))
-        if isinstance(work, Close):
+        if isinstance(work, Close) or began - tidied > TIDY_EVERY_S:
             give_back_memory()
+            tidied = began
 
 
 def _received(link: Link) -> tuple[int, Work]:

@@ -104,6 +104,7 @@ class ServiceState:
     async def start_workers(self) -> None:
         """Start a worker of each kind, so that the first client does not wait for it."""
         await asyncio.gather(self.stream_workers.start(), self.recording_workers.start())
+        give_back_memory()  # what loading and the self-test took
 
     async def reload(self) -> BundleRegistry:
         """Read the bundles and the keys again, verify and self-test, and serve with them.

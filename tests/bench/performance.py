@@ -167,6 +167,7 @@ def memory(count: int, seconds: float) -> dict[str, float]:
     with Served("--max-sessions", str(count + 8), "--stream-workers", "1") as served:
         url = served.url.replace("http", "ws") + "/stream"
         asyncio.run(_sessions(served, url, 2, 2.0))  # what the first ones load stays
+        time.sleep(1.0)  # what they leave is given back once their sockets are closed
         at_rest = served.footprint().pss_mb
         idle = asyncio.run(_sessions(served, url, count, 0.0))
         active = asyncio.run(_sessions(served, url, count, seconds))
