@@ -91,7 +91,7 @@ def _along_time(image: Tensor, convolution: nn.Conv1d) -> Tensor:
 
 
 class Ahead(nn.Sequential):
-    """Three frames, one of them ahead, by ``width`` bins or rows around every ``stride`` of them."""
+    """Three frames, one of them ahead, by ``width`` bins or rows around each ``stride`` of them."""
 
     looks_ahead = True
 

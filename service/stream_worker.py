@@ -22,8 +22,8 @@ CHECK_DUTY = 0.03
 streams of this worker, so with many streams they take turns"""
 
 TIDY_EVERY_S = 10.0
-"""Seconds of work after which freed memory between the streams' arrays goes back to the system: what
-sessions keep lies among what steps free, and so much would stay as a session keeps"""
+"""Seconds after which freed memory between the streams' arrays goes back to the system: what
+sessions keep lies among what steps free, and as much again would stay"""
 
 Done = tuple[int, Outcome | None, float]
 """What goes back: the work's number, what came of it, the seconds that it took"""

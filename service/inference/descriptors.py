@@ -158,8 +158,8 @@ def _disagreement(
 ) -> tuple[FloatArray, FloatArray]:
     """Spread in units of 10 degrees of the blocks' own peaks near the candidates, and its drift.
 
-    The drift is the spread's part that goes with time: talkers that take turns. ``remaining`` (n, C)
-    are the findings' own, ``weight`` (n, K - 1) is what the blocks count.
+    The drift is the spread's part that goes with time: talkers that take turns. ``remaining``
+    (n, C) are the findings' own, ``weight`` (n, K - 1) is what the blocks count.
     """
     size = findings[0].fused.size
     reach = round(NEIGHBOURHOOD / (2 * np.pi) * size)

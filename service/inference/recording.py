@@ -120,7 +120,7 @@ def _estimate(
 
 
 def _unless_silent(heard: FloatArray, estimate: WindowEstimate) -> WindowEstimate:
-    silent = float(np.mean(heard * heard)) < SILENCE
+    silent = float(np.vecdot(heard, heard).sum()) < SILENCE * heard.size
     return WindowEstimate((), np.zeros_like(estimate.spectrum)) if silent else estimate
 
 

@@ -32,6 +32,8 @@ from websockets.asyncio.client import connect
 
 INTERVAL_MS = 100
 LAG_BOUND_MS = 250
+RECORDINGS = 3
+"""Of one length, one after the other"""
 PART_S = 60
 """An hour's file is written minute by minute"""
 
@@ -95,38 +97,46 @@ def fleets(counts: list[int], seconds: float) -> list[dict[str, float]]:
     return found
 
 
-def files(lengths_s: list[int]) -> list[dict[str, float]]:
-    """Four-channel recordings through ``POST /localize`` with its defaults."""
-    found = []
+def files(lengths_s: list[int]) -> list[dict[str, Any]]:
+    """Four-channel recordings through ``POST /localize`` with its defaults, medians of a few."""
+    found: list[dict[str, Any]] = []
     for seconds in lengths_s:
         with Served("--workers", "1") as served, tempfile.TemporaryDirectory() as folder:
             (worker,) = served.workers("recording_worker")
             path = Path(folder) / "long.wav"
             write_recording(path, seconds)
-            at_rest = family_mb(worker)
-            began, computed = time.monotonic(), cpu_s(worker)
-            with path.open("rb") as audio, watched(worker) as megabytes:
-                answer = httpx2.post(
-                    f"{served.url}/localize",
-                    files={"audio": audio},
-                    data={"array": "respeaker-usb-4mic-v2"},
-                    timeout=600,
-                )
-            spent = time.monotonic() - began
-            answer.raise_for_status()
+            at_rest, computed, spent = family_mb(worker), cpu_s(worker), []
+            with watched(worker) as megabytes:
+                for _ in range(RECORDINGS):
+                    began = time.monotonic()
+                    answer = _localized(served.url, path)
+                    spent.append(time.monotonic() - began)
+            seconds_spent = statistics.median(spent)
             found.append(
                 {
                     "audio_s": seconds,
                     "windows": len(answer.json()["windows"]),
-                    "seconds": round(spent, 2),
-                    "times_real_time": round(seconds / spent, 1),
-                    "worker_cpu_s": round(cpu_s(worker) - computed, 2),
+                    "seconds": round(seconds_spent, 2),
+                    "seconds_least_most": [round(min(spent), 2), round(max(spent), 2)],
+                    "times_real_time": round(seconds / seconds_spent, 1),
+                    "worker_cpu_s": round((cpu_s(worker) - computed) / RECORDINGS, 2),
                     "worker_peak_mb": round(max(megabytes), 1),
                     "worker_at_rest_mb": round(at_rest, 1),
                     "answer_mb": round(len(answer.content) / 1e6, 1),
                 }
             )
     return found
+
+
+def _localized(url: str, path: Path) -> httpx2.Response:
+    with path.open("rb") as audio:
+        answer = httpx2.post(
+            f"{url}/localize",
+            files={"audio": audio},
+            data={"array": "respeaker-usb-4mic-v2"},
+            timeout=600,
+        )
+    return answer.raise_for_status()
 
 
 def write_recording(path: Path, seconds: int) -> None:

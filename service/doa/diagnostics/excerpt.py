@@ -8,6 +8,7 @@ bounded, the excerpt is spread over the whole recording, and pauses do not fill 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
 import numpy.typing as npt
@@ -93,4 +94,5 @@ class Excerpt:
 
 def _power(audio: FloatArray) -> float:
     """Variance of the median channel: one dead or hot channel does not choose the segments."""
-    return float(np.median(np.var(audio, axis=-1)))
+    around = audio - audio.mean(axis=-1, keepdims=True)
+    return float(median(np.vecdot(around, around) / audio.shape[-1]))

@@ -57,7 +57,7 @@ class LevelMeter:
         exact = block.astype(np.float64)
         self._count += block.shape[-1]
         self._sum += exact.sum(axis=-1)
-        self._squares += np.einsum("nt,nt->n", exact, exact)
+        self._squares += np.vecdot(exact, exact)
         self._peak = np.maximum(self._peak, peak)
         if (peak >= FULL_SCALE).any():
             self._clipped += np.count_nonzero(np.abs(block) >= FULL_SCALE, axis=-1)
