@@ -35,7 +35,10 @@ def unit_vectors_and_power(spectra: ComplexArray) -> tuple[ComplexArray, FloatAr
     Both have frames before bins in memory, as the STFT has.
     """
     frames = np.swapaxes(spectra, -1, -2)
-    power = np.sum(frames.real**2 + frames.imag**2, axis=-3)  # (..., L, F)
+    if frames.strides[-1] != frames.itemsize:
+        frames = np.ascontiguousarray(frames)
+    squares = np.square(frames.view(np.float32)).sum(axis=-3)  # of real and imaginary parts
+    power = squares[..., ::2] + squares[..., 1::2]  # (..., L, F)
     # Multiplied: a complex array by a real one divides slowly.
     scale = 1 / np.sqrt(np.maximum(power, np.finfo(np.float32).tiny))
     unit = frames * scale[..., None, :, :]

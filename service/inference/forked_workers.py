@@ -28,7 +28,7 @@ from service.errors import WorkerLost
 InputT = TypeVar("InputT")
 ResultT = TypeVar("ResultT")
 
-FEW = 8
+FEW = 5
 """Inputs that are not worth a process"""
 AHEAD = 2
 """Inputs per process that are handed over before the first one's result is asked for"""

@@ -39,7 +39,7 @@ from service.inference.results import (
 from service.inference.summary import summarise
 from service.inference.windows import Stretch, stretches, windows
 
-STRETCH_WINDOWS = 8
+STRETCH_WINDOWS = 12
 """Windows that are computed at a time: more share little more and cost memory"""
 
 
