@@ -28,6 +28,8 @@ class ShippedBundle:
         self.card = Card(name, f"bundle {name}", "hybrid", f"docs/models/{name}.md")
         self.bound = bundle.bound_array() is not None
         """Whether it fits one array only"""
+        self.sha256 = bundle.sha256
+        """Of its manifest, which holds those of its files"""
         self._bundle = bundle
         self._localizers: dict[str, Localizer] = {}
 

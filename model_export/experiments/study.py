@@ -54,8 +54,11 @@ class Contender:
 
     @property
     def key(self) -> str:
-        """A name for files."""
-        return self.training.key if self.training else self.label
+        """A name for files; a bundle's is that of its contents, too."""
+        if self.training:
+            return self.training.key
+        bundle = shipped().get(self.label)
+        return f"{self.label}-{bundle.sha256[:12]}" if bundle else self.label
 
     @property
     def name(self) -> str:

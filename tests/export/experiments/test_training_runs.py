@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from torch import Tensor, nn
 from model_export.baselines.heads import SpectrumHead
 from model_export.baselines.method import Card, Estimate
 from model_export.baselines.network import BaselineNetwork, Prediction
+from model_export.baselines.shipped import ShippedBundle
 from model_export.experiments import study
 from model_export.experiments.cells import Cell
 from model_export.experiments.scene_set import SceneSet
@@ -19,6 +21,8 @@ from model_export.experiments.study import score
 from model_export.experiments.training import Budget, Training, describe, fit
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
+from service.inference.bundle import load_bundle
+from service.inference.registry import EMBEDDED_MODELS
 
 pytestmark = pytest.mark.torch
 
@@ -141,6 +145,15 @@ def test_a_method_that_cannot_count_is_told_the_count_everywhere(
     for cell in cells:
         assert found["oracle"][cell]["count_accuracy"] == 1.0
     assert len(list((tmp_path / "scores").rglob("*.json"))) == 1  # scored once
+
+
+def test_another_bundle_of_the_same_name_is_scored_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = study.Contender("any-array").key
+    assert study.Contender("paper").key != before
+    embedded = load_bundle(EMBEDDED_MODELS / "any-array")
+    newer = replace(embedded, files=replace(embedded.files, sha256="0" * 64))
+    monkeypatch.setattr(study, "shipped", lambda: {"any-array": ShippedBundle(newer)})
+    assert study.Contender("any-array").key not in (before, "any-array")
 
 
 def test_only_the_first_scenes_count_where_a_cell_says_so(scenes: SceneSet) -> None:
