@@ -34,14 +34,10 @@ class RankOneMusic:
         self._steering: ComplexArray | None = None
         self._products: FloatArray | None = None
         delays_alone = np.allclose(np.abs(steering), 1, atol=1e-5)  # not whitened
-        half = steering.shape[2] // 2
-        # Waves from opposite azimuths pass the microphones with opposite delays.
-        opposite = steering.shape[2] == 2 * half and np.allclose(
-            steering[..., half:], np.conj(steering[..., :half]), atol=1e-4
-        )
-        if microphones > MOST_PLANES or not (delays_alone and opposite):
+        if microphones > MOST_PLANES or not (delays_alone and _in_opposite_pairs(steering)):
             self._steering = steering
         else:
+            half = steering.shape[2] // 2
             self._products = self._distance_products(steering[..., :half])
 
     def _distance_products(self, steering: ComplexArray) -> FloatArray:
@@ -85,6 +81,12 @@ class RankOneMusic:
         rows[:, :, 0, 1 + number :] = pairs.imag
         np.negative(pairs.imag, out=rows[:, :, 1, 1 + number :])
         return rows.reshape(bins, 2 * count, -1)
+
+
+def _in_opposite_pairs(steering: ComplexArray) -> bool:
+    """Whether the second half of the azimuths is opposite the first: delays change their signs."""
+    first, second = np.array_split(steering, 2, axis=2)
+    return first.shape == second.shape and np.allclose(second, np.conj(first), atol=1e-4)
 
 
 _shared: WeakValueDictionary[tuple[bytes, bytes, int, float], RankOneMusic] = WeakValueDictionary()

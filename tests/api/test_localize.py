@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from service.api.upload import PIECE_BYTES
+
 ARRAY = "respeaker-usb-4mic-v2"
 CLASSICAL = {"method": "norm_music"}
 
@@ -66,6 +68,18 @@ def test_a_form_and_a_raw_body_give_the_same_answer(localize: Any, sounds: Any) 
     assert raw.status_code == form.status_code == 200
     assert raw.json() == form.json()
     assert raw.json()["array"]["channel_map"] == [3, 2, 1, 0]
+
+
+def test_a_body_may_come_in_many_small_pieces(client: Any, localize: Any, sounds: Any) -> None:
+    """More of them than are handed on at a time, and a rest."""
+    options = {**CLASSICAL, "hop_s": "2"}
+    recording = sounds.wav(seconds=12.0)
+    assert PIECE_BYTES < len(recording) < 2 * PIECE_BYTES
+    pieces = (recording[at : at + 4999] for at in range(0, len(recording), 4999))
+    headers, params = {"Content-Type": "audio/wav"}, {"array": ARRAY, **options}
+    raw = client.post("/localize", content=pieces, headers=headers, params=params)
+    assert raw.json() == localize.form(recording, **options).json()
+    assert raw.json()["audio"]["duration_s"] == 12.0
 
 
 def test_options_may_be_in_the_query_beside_a_form(client: Any, sounds: Any) -> None:

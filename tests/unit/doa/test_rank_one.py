@@ -44,6 +44,14 @@ def test_spectra_are_the_definitions(microphones: int) -> None:
     np.testing.assert_allclose(spectra, textbook(vectors, steering), atol=2e-4)
 
 
+@pytest.mark.parametrize("azimuths", [azimuth_grid(91), azimuth_grid(90)[:44]])
+def test_azimuths_need_not_come_in_opposite_pairs(azimuths: FloatArray) -> None:
+    steering = steering_vectors(ring(4), FREQUENCIES, azimuths)
+    vectors = unit_vectors(4, 3)
+    spectra = RankOneMusic(steering, FLOOR).spectra(vectors)
+    np.testing.assert_allclose(spectra, textbook(vectors, steering), atol=2e-4)
+
+
 def test_whitened_steering_vectors_need_not_have_unit_entries() -> None:
     rng = np.random.default_rng(0)
     steering = steering_vectors(ring(4), FREQUENCIES, azimuth_grid(90))
