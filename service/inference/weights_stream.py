@@ -92,10 +92,10 @@ class _Block:
     """(1, F, N, N), F bins or pairs of them"""
     attention: FloatArray
     """(F,) a mean over eight frames, those that are missing being zero"""
-    cells: FloatArray | None = None
-    """(F, A) MUSIC spectra, once a result has needed them"""
+    place: int
+    """Among the stream's spectra; taken again once the block is out of the window"""
     dominance: FloatArray | None = None
-    """(F,)"""
+    """(F,) once a result has needed it and the spectra"""
 
 
 class WeightsStream:
@@ -118,6 +118,11 @@ class WeightsStream:
             bundle.covariance_stream, array.num_microphones, analysis.num_bins
         )
         self._closed: deque[_Block] = deque(maxlen=WINDOW_BLOCKS)
+        self._passed = 0
+        """Blocks that are final, those included that are forgotten"""
+        self._cells: FloatArray = np.empty((0, 0, 0), dtype=np.float32)
+        """(F, blocks and the whole window, A) MUSIC spectra, from the first result on. They stay
+        where they are: copied together for every result they would pass through memory each time"""
         empty = (0, analysis.num_bins)
         self._open = np.zeros((array.num_microphones, *empty), dtype=np.complex64)
         """(N, L, F) of unit norm: frames of blocks that are not final"""
@@ -135,46 +140,52 @@ class WeightsStream:
         self._weights = np.concatenate([self._weights[:known], weights[new:]])
         self._attention = np.concatenate([self._attention[:known], attention[new:]])
         while len(self._weights) >= BLOCK_FRAMES + provisional:
-            self._closed.append(self._block(slice(0, BLOCK_FRAMES)))
+            self._closed.append(self._block(0))
+            self._passed += 1
             self._open = self._open[:, BLOCK_FRAMES:]
             self._weights = self._weights[BLOCK_FRAMES:]
             self._attention = self._attention[BLOCK_FRAMES:]
 
     def estimate(self, num_sources: int | None, max_sources: int) -> WindowEstimate:
         """Directions of the last blocks; at least one frame must have been pushed."""
-        starts = range(0, len(self._weights), BLOCK_FRAMES)
-        opened = [self._block(slice(start, start + BLOCK_FRAMES)) for start in starts]
+        opened = [self._block(n) for n in range(-(-len(self._weights) // BLOCK_FRAMES))]
         blocks = [*self._closed, *opened][-WINDOW_BLOCKS:]
         return self._counter.select([self._candidates(blocks)], num_sources, max_sources)[0]
 
-    def _block(self, frames: slice) -> _Block:
+    def _block(self, number: int) -> _Block:
+        """One of the open frames' blocks, counted from the oldest."""
+        frames = slice(number * BLOCK_FRAMES, (number + 1) * BLOCK_FRAMES)
         unit, weights = np.swapaxes(self._open[:, frames], 1, 2), self._weights[frames]
         covariance = weighted_covariance(unit, weights.T, len(weights))
         attention = self._attention[frames].sum(axis=0) / np.float32(BLOCK_FRAMES)
         if self._bins_per_cell > 1:
             covariance = covariance[:, 0::2] + covariance[:, 1::2]
             attention = (attention[0::2] + attention[1::2]) / np.float32(2)
-        return _Block(diagonal_loading(covariance, CELL_LOADING), attention)
+        place = (self._passed + number) % WINDOW_BLOCKS
+        return _Block(diagonal_loading(covariance, CELL_LOADING), attention, place)
 
     def _candidates(self, blocks: Sequence[_Block]) -> Candidates:
         recency = np.array(RECENCY[: len(blocks)][::-1], dtype=np.float32)
-        whole = _Block(
-            np.sum([b.covariance * r for b, r in zip(blocks, recency, strict=True)], axis=0),
-            np.empty(0, dtype=np.float32),
-        )
-        rows = [*blocks, whole]
-        self._complete([row for row in rows if row.cells is None])
         attention = np.stack([block.attention for block in blocks]) * recency[:, None]
-        every = np.broadcast_to(np.arange(len(blocks))[:, None], attention.shape)
-        cells = np.stack([row.cells for row in rows if row.cells is not None], axis=1)
+        covariances = [b.covariance * r for b, r in zip(blocks, recency, strict=True)]
+        whole = _Block(np.sum(covariances, axis=0), np.empty(0, np.float32), WINDOW_BLOCKS)
+        self._complete([row for row in (*blocks, whole) if row.dominance is None])
+        order = sorted(range(len(blocks)), key=lambda number: blocks[number].place)
+        rows = [*(blocks[number] for number in order), whole]
         dominance = np.stack([row.dominance for row in rows if row.dominance is not None])
-        return self._search.found(self._search.field(cells, attention, every, dominance))
+        every = len(rows) == self._cells.shape[1]
+        cells = self._cells if every else self._cells[:, [row.place for row in rows]]
+        chosen = np.broadcast_to(np.array(order)[:, None], attention.shape)
+        return self._search.found(self._search.field(cells, attention, chosen, dominance))
 
     def _complete(self, blocks: Sequence[_Block]) -> None:
         """Spectra and dominance of blocks, all at once: small operations cost their calls."""
         principal, dominance = principal_eigenvectors(
             np.concatenate([block.covariance for block in blocks])
         )
-        cells = self._search.cell_spectra(principal)
-        for row, block in enumerate(blocks):
-            block.cells, block.dominance = np.ascontiguousarray(cells[:, row]), dominance[row]
+        cells = self._search.cell_spectra(principal)  # (F, blocks, A)
+        if not self._cells.size:
+            self._cells = np.empty((len(cells), WINDOW_BLOCKS + 1, cells.shape[2]), np.float32)
+        self._cells[:, [block.place for block in blocks]] = cells
+        for block, share in zip(blocks, dominance, strict=True):
+            block.dominance = share
