@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from service.doa.array import MicrophoneArray
 from service.doa.peaks import Peak, circular_difference
 from service.doa.types import BoolArray, FloatArray, IntArray
 
@@ -38,7 +39,7 @@ class Field:
     num_bins: int
     num_blocks: int
     """K, the whole window included"""
-    num_microphones: int
+    array: MicrophoneArray
     resolution: float
     """Of the array, from ``service.doa.steering.resolution``"""
 
@@ -60,6 +61,17 @@ class Field:
         for place in range(1, count):  # numpy sums over a short last axis slowly
             sums += weights[..., place::count]
         return sums
+
+    def around(self, index: int, reach: int) -> FloatArray:
+        """(C, 2 reach + 1) the azimuths up to ``reach`` on either side of one, on the circle.
+
+        A view where it can be.
+        """
+        first, last, size = index - reach, index + reach + 1, self.cells.shape[1]
+        if first >= 0 and last <= size:
+            return self.cells[:, first:last]
+        columns: FloatArray = self.cells.take(np.arange(first, last) % size, axis=1)
+        return columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +118,7 @@ def describe(field: Field, findings: Sequence[Finding]) -> FloatArray:
         _nearest_earlier([found.azimuth for found in findings]),
         float(field.attention @ field.dominance) / field.total,
         0.1 * np.log(field.total / cells + 1e-6),  # loudness
-        field.num_microphones / 8,
+        field.array.num_microphones / 8,
         field.resolution,
         dominant,
         sharp.sum(axis=1),
@@ -166,7 +178,7 @@ def _disagreement(
     weighted = field.of_block[:-1] * remaining[:, None]  # (n, K - 1, C)
     blocks = np.stack(
         [
-            each @ _columns(field.cells, found.index, reach)
+            each @ field.around(found.index, reach)
             for each, found in zip(weighted, findings, strict=True)
         ]
     )  # (n, K - 1, 2 reach + 1)
@@ -180,15 +192,6 @@ def _disagreement(
     moved = (steps * np.abs(np.diff(offset, axis=1))).sum(axis=1)
     drift = moved / np.maximum(steps.sum(axis=1), 1e-9)
     return np.where(known, spread, 0), np.where(known, drift, 0)
-
-
-def _columns(cells: FloatArray, index: int, reach: int) -> FloatArray:
-    """The columns up to ``reach`` on either side of one, on the circle; a view where it can be."""
-    first, last, size = index - reach, index + reach + 1, cells.shape[1]
-    if first >= 0 and last <= size:
-        return cells[:, first:last]
-    columns: FloatArray = cells.take(np.arange(first, last) % size, axis=1)
-    return columns
 
 
 def _spread(weights: FloatArray) -> FloatArray:

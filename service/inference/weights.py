@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from service.doa.array import MicrophoneArray
 from service.doa.covariance import chosen_and_sum, diagonal_loading, weighted_covariance
 from service.doa.features import coherences, unit_vectors_and_power, window_features
-from service.doa.mirror import into_searched_half
 from service.doa.rank_one import RankOneMusic, shared_music
 from service.doa.steering import azimuth_grid, resolution, steering_vectors
 from service.doa.stft import Stft
@@ -132,12 +131,7 @@ class CandidateSearch:
         means = block_means(attention)
         chosen = strongest_blocks(means, self._analysis.kept_share)
         principal, dominance = principal_eigenvectors(cell_covariances(unit, weights, chosen))
-        return self.found(self.field(self.cell_spectra(principal), means, chosen, dominance))
-
-    def found(self, field: Field) -> Candidates:
-        """Candidates, in the half of the circle that the array tells from the other."""
-        found = find_candidates(field)
-        return replace(found, azimuth=into_searched_half(self._array, found.azimuth))
+        return find_candidates(self.field(self.cell_spectra(principal), means, chosen, dominance))
 
     def field(
         self, cells: FloatArray, attention: FloatArray, chosen: IntArray, dominance: FloatArray
@@ -164,7 +158,7 @@ class CandidateSearch:
             np.concatenate([chosen, whole]).T.ravel(),
             bins,
             len(attention) + 1,
-            self._array.num_microphones,
+            self._array,
             self._resolution,
         )
 
@@ -337,15 +331,20 @@ def analysis_of(bundle: Bundle) -> Analysis:
 def select_sources(
     window: Candidates, confidence: FloatArray, count: int, least: float = 0.0
 ) -> WindowEstimate:
+    """The sources among a window's candidates, the most confident first."""
+    kept = surest(confidence[: len(window.findings)], count, least)
+    sources = tuple(
+        Source(azimuth, float(confidence[index]))
+        for azimuth, index in zip(window.directions(kept), kept, strict=True)
+    )
+    return WindowEstimate(sources, window.fused)
+
+
+def surest(confidence: FloatArray, count: int, least: float) -> list[int]:
     """The ``count`` candidates found first that are confident enough, most confident first.
 
     The most confident is held to at most ``LEAST_FIRST``.
     """
-    found = np.flatnonzero(np.isfinite(window.azimuth))[:count]
-    order = found[np.argsort(-confidence[found], kind="stable")]
+    order = np.argsort(-confidence[:count], kind="stable").tolist()
     kept = [index for index in order[:1] if confidence[index] >= min(least, LEAST_FIRST)]
-    kept += [index for index in order[1:] if confidence[index] >= least]
-    sources = tuple(
-        Source(float(window.azimuth[index]), float(confidence[index])) for index in kept
-    )
-    return WindowEstimate(sources, window.fused)
+    return kept + [index for index in order[1:] if confidence[index] >= least]

@@ -19,7 +19,7 @@ from service.doa.features import coherence_features, unit_vectors_and_power
 from service.doa.types import ComplexArray, FloatArray
 from service.doa.whitening import NoiseCovariance
 from service.inference.bundle import Bundle
-from service.inference.candidates import Candidates
+from service.inference.candidates import Candidates, find_candidates
 from service.inference.engine import Engine
 from service.inference.results import WindowEstimate
 from service.inference.weights import (
@@ -176,7 +176,7 @@ class WeightsStream:
         every = len(rows) == self._cells.shape[1]
         cells = self._cells if every else self._cells[:, [row.place for row in rows]]
         chosen = np.broadcast_to(np.array(order)[:, None], attention.shape)
-        return self._search.found(self._search.field(cells, attention, chosen, dominance))
+        return find_candidates(self._search.field(cells, attention, chosen, dominance))
 
     def _complete(self, blocks: Sequence[_Block]) -> None:
         """Spectra and dominance of blocks, all at once: small operations cost their calls."""

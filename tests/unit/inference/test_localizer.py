@@ -9,12 +9,11 @@ from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.scoring import circular_error, maae
 from service.doa.types import FloatArray
-from service.inference.candidates import Candidates
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, estimate_stretch, localizer_of
 from service.inference.registry import BundleRegistry
 from service.inference.results import METHODS
-from service.inference.weights import LEAST_CONFIDENCE, select_sources, strongest_blocks
+from service.inference.weights import LEAST_CONFIDENCE, strongest_blocks, surest
 from service.inference.windows import stretches, windows
 
 
@@ -146,11 +145,9 @@ def test_windows_of_any_length(samples: int, registry: BundleRegistry, plane_wav
 def test_the_surest_counted_source_needs_less_than_further_ones(
     confidence: list[float], kept: list[float]
 ) -> None:
-    found = Candidates(np.array([0.0, 1.0, 2.0]), np.zeros((3, 1)), np.zeros(360))
-    selected = select_sources(found, np.array(confidence), 2, LEAST_CONFIDENCE)
-    assert [source.confidence for source in selected.sources] == kept
-    told = select_sources(found, np.array(confidence), 2)
-    assert len(told.sources) == 2  # whoever names the number gets it
+    chances = np.array(confidence)
+    assert [confidence[index] for index in surest(chances, 2, LEAST_CONFIDENCE)] == kept
+    assert len(surest(chances, 2, 0.0)) == 2  # whoever names the number gets it
 
 
 @pytest.mark.parametrize("share", [0.25, 0.5])
