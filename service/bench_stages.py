@@ -13,7 +13,7 @@ from service.doa.fusion import attention_fusion
 from service.doa.peaks import find_peaks
 from service.doa.types import ComplexArray, FloatArray
 from service.inference.bundle import Bundle
-from service.inference.candidates import find_findings
+from service.inference.candidates import find_findings, refine
 from service.inference.descriptors import describe
 from service.inference.weights import (
     CandidateSearch,
@@ -33,7 +33,8 @@ def window_stages(
 ) -> Iterator[Stage]:
     """Every stage of ``CandidateSearch`` and ``SourceCounter`` with its inputs.
 
-    ``fusion`` and ``peaks`` alternate in the search, up to four times; here each is all its rounds.
+    ``fusion`` and ``peaks`` alternate in the search, up to four times; here each is all its rounds,
+    and the peaks of two sources are found again.
     """
     analysis = analysis_of(bundle)
     search = CandidateSearch(bundle.covariance, analysis, array)
@@ -66,7 +67,11 @@ def window_stages(
     )
     yield (
         "peaks",
-        lambda each: ([find_peaks(f.fused, 2) for f in each[1]], describe(*each)),
+        lambda each: (
+            [find_peaks(f.fused, 2) for f in each[1]],
+            describe(*each),
+            refine(each[0], each[1][:2]),
+        ),
         found,
     )
     descriptors = [np.pad(describe(*each), [(0, 4 - len(each[1])), (0, 0)])[None] for each in found]
