@@ -60,6 +60,8 @@ class Analysis:
     """Of a bin's blocks, those that are attended to most, of which spectra are computed"""
     bins_per_cell: int = 1
     """Neighbouring bins whose covariances are added up; more than one only without whitening"""
+    location_power: float = 0.5
+    """Of the attention, by which cells count where a source is once it is known"""
 
 
 class CandidateSearch:
@@ -160,6 +162,7 @@ class CandidateSearch:
             len(attention) + 1,
             self._array,
             self._resolution,
+            self._analysis.location_power,
         )
 
     def spectra(self, windows: FloatArray) -> ComplexArray:
