@@ -86,11 +86,11 @@ def refine(field: Field, sources: Sequence[Finding]) -> FloatArray:
     """(n,) azimuths in radians of the sources, each at the maximum next to where it was found.
 
     It is looked for among the cells that point to no other source, which draw the first one's peak
-    towards themselves. In windows they count the square root of their attention: the attention
-    picks what tells a source from none, and averages over too few cells to say best where a source
-    is (docs/training.md, "Where a source is").
+    towards themselves. They count the square root of their attention: the attention picks what
+    tells a source from none, and averages over too few cells to say best where a source is
+    (docs/training.md, "Where a source is").
     """
-    attention = field.attention**field.location_power
+    attention = np.sqrt(field.attention)
     pointing = np.stack([source.pointing for source in sources])  # (n, C)
     elsewhere = pointing > ELSEWHERE_LEVEL
     of_others = elsewhere.sum(axis=0) > elsewhere

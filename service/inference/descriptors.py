@@ -42,8 +42,6 @@ class Field:
     array: MicrophoneArray
     resolution: float
     """Of the array, from ``service.doa.steering.resolution``"""
-    location_power: float = 0.5
-    """Of the attention, by which cells count where a source is once it is known"""
 
     @cached_property
     def total(self) -> float:

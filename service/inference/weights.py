@@ -60,8 +60,6 @@ class Analysis:
     """Of a bin's blocks, those that are attended to most, of which spectra are computed"""
     bins_per_cell: int = 1
     """Neighbouring bins whose covariances are added up; more than one only without whitening"""
-    location_power: float = 0.5
-    """Of the attention, by which cells count where a source is once it is known"""
 
 
 class CandidateSearch:
@@ -162,7 +160,6 @@ class CandidateSearch:
             len(attention) + 1,
             self._array,
             self._resolution,
-            self._analysis.location_power,
         )
 
     def spectra(self, windows: FloatArray) -> ComplexArray:
@@ -262,10 +259,18 @@ def principal_eigenvectors(covariance: ComplexArray) -> tuple[ComplexArray, Floa
 
 
 class SourceCounter:
-    """From candidates to sources, by the source-count network."""
+    """From candidates to sources, by the source-count network.
 
-    def __init__(self, network: Engine) -> None:
+    Parameters
+    ----------
+    network : Engine
+    together : bool
+        Whether the sources' directions are found again once all are known.
+    """
+
+    def __init__(self, network: Engine, *, together: bool = True) -> None:
         self._network = network
+        self._together = together
 
     def select(
         self, candidates: Sequence[Candidates], num_sources: int | None, max_sources: int
@@ -277,11 +282,23 @@ class SourceCounter:
         # Windows unlike any in training, digital silence among them, give logits in the hundreds.
         confidence = 1 / (1 + np.exp(-np.clip(confidence_logits, -30, 30)))
         return [
-            select_sources(window, chances, num_sources)
+            self._estimate(window, chances, num_sources, 0.0)
             if num_sources is not None
-            else select_sources(window, chances, min(int(count), max_sources), LEAST_CONFIDENCE)
+            else self._estimate(window, chances, min(int(count), max_sources), LEAST_CONFIDENCE)
             for window, chances, count in zip(candidates, confidence, counts, strict=True)
         ]
+
+    def _estimate(
+        self, window: Candidates, confidence: FloatArray, count: int, least: float
+    ) -> WindowEstimate:
+        """The sources among a window's candidates, the most confident first."""
+        kept = surest(confidence[: len(window.findings)], count, least)
+        azimuths = window.directions(kept) if self._together else window.azimuth[kept].tolist()
+        sources = tuple(
+            Source(azimuth, float(confidence[index]))
+            for azimuth, index in zip(azimuths, kept, strict=True)
+        )
+        return WindowEstimate(sources, window.fused)
 
 
 class WeightsLocalizer:
@@ -329,18 +346,6 @@ def analysis_of(bundle: Bundle) -> Analysis:
         window_share=float(bundle.fusion["window_share"]),
         kept_share=float(bundle.fusion.get("kept_share", HALF)),
     )
-
-
-def select_sources(
-    window: Candidates, confidence: FloatArray, count: int, least: float = 0.0
-) -> WindowEstimate:
-    """The sources among a window's candidates, the most confident first."""
-    kept = surest(confidence[: len(window.findings)], count, least)
-    sources = tuple(
-        Source(azimuth, float(confidence[index]))
-        for azimuth, index in zip(window.directions(kept), kept, strict=True)
-    )
-    return WindowEstimate(sources, window.fused)
 
 
 def surest(confidence: FloatArray, count: int, least: float) -> list[int]:
