@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain, starmap
 
 import numpy as np
 
@@ -90,12 +91,15 @@ class CandidateSearch:
             self._whitening = Whitening.fitting(noise, array, analysis.stft).band(self._bins)
             self._music = RankOneMusic(self._whitening.steering(steering), floor)
 
-    def candidates(self, windows: FloatArray) -> list[Candidates]:
-        """Candidate sources of every window (B, N, T), before counting."""
+    def candidates(self, windows: FloatArray) -> Iterator[Candidates]:
+        """Candidate sources of every window (B, N, T), before counting.
+
+        They hold their window's spectra: take them one by one.
+        """
         unit, power = unit_vectors_and_power(self.spectra(windows))
         return self._candidates(unit, power, coherences(unit))
 
-    def candidates_of(self, stretch: Stretch) -> list[Candidates]:
+    def candidates_of(self, stretch: Stretch) -> Iterator[Candidates]:
         """Candidate sources of every window of a stretch.
 
         Frames that windows share have one STFT and one coherence with those before them. Of a
@@ -106,8 +110,9 @@ class CandidateSearch:
         heard = stretch.heard[-1]
         if heard < stretch.length - (stft.n_fft - stft.hop):
             last = self.candidates(stretch.windows[-1:, :, : max(heard, stft.n_fft)])
-            before = self.candidates_of(stretch.without_last()) if len(stretch.heard) > 1 else []
-            return [*before, *last]
+            if len(stretch.heard) == 1:
+                return last
+            return chain(self.candidates_of(stretch.without_last()), last)
         frames = whole_blocks(stft.num_frames(stretch.length))
         if stretch.hop % stft.hop or frames > stft.num_frames(stretch.length):
             return self.candidates(stretch.windows)
@@ -121,10 +126,10 @@ class CandidateSearch:
 
     def _candidates(
         self, unit: ComplexArray, power: FloatArray, coherence: FloatArray
-    ) -> list[Candidates]:
+    ) -> Iterator[Candidates]:
         """Of windows' unit vectors (B, N, F, L), powers (B, F, L) and coherences (B, 3, F, L)."""
         # One window at a time: what a stage leaves is in the cache for the next one.
-        return [self._search(*window) for window in zip(unit, power, coherence, strict=True)]
+        return starmap(self._search, zip(unit, power, coherence, strict=True))
 
     def _search(self, unit: ComplexArray, power: FloatArray, coherence: FloatArray) -> Candidates:
         weights, attention = self.weigh(self.features(coherence, power))
@@ -273,25 +278,21 @@ class SourceCounter:
         self._together = together
 
     def select(
-        self, candidates: Sequence[Candidates], num_sources: int | None, max_sources: int
+        self, candidates: Iterable[Candidates], num_sources: int | None, max_sources: int
     ) -> list[WindowEstimate]:
         """Every window's sources; parameters as in ``WeightsLocalizer.estimate``."""
-        descriptors = np.stack([window.descriptors for window in candidates])
-        count_logits, confidence_logits = self._network.run([descriptors])
-        counts = np.argmax(count_logits, axis=-1)
-        # Windows unlike any in training, digital silence among them, give logits in the hundreds.
-        confidence = 1 / (1 + np.exp(-np.clip(confidence_logits, -30, 30)))
-        return [
-            self._estimate(window, chances, num_sources, 0.0)
-            if num_sources is not None
-            else self._estimate(window, chances, min(int(count), max_sources), LEAST_CONFIDENCE)
-            for window, chances, count in zip(candidates, confidence, counts, strict=True)
-        ]
+        return [self.sources(window, num_sources, max_sources) for window in candidates]
 
-    def _estimate(
-        self, window: Candidates, confidence: FloatArray, count: int, least: float
+    def sources(
+        self, window: Candidates, num_sources: int | None, max_sources: int
     ) -> WindowEstimate:
-        """The sources among a window's candidates, the most confident first."""
+        """The sources among one window's candidates, the most confident first."""
+        count_logits, confidence_logits = self._network.run([window.descriptors[None]])
+        # Windows unlike any in training, digital silence among them, give logits in the hundreds.
+        confidence = 1 / (1 + np.exp(-np.clip(confidence_logits[0], -30, 30)))
+        count, least = num_sources, 0.0
+        if count is None:
+            count, least = min(int(np.argmax(count_logits[0])), max_sources), LEAST_CONFIDENCE
         kept = surest(confidence[: len(window.findings)], count, least)
         azimuths = window.directions(kept) if self._together else window.azimuth[kept].tolist()
         sources = tuple(

@@ -151,7 +151,7 @@ class WeightsStream:
         """Directions of the last blocks; at least one frame must have been pushed."""
         opened = [self._block(n) for n in range(-(-len(self._weights) // BLOCK_FRAMES))]
         blocks = [*self._closed, *opened][-WINDOW_BLOCKS:]
-        return self._counter.select([self._candidates(blocks)], num_sources, max_sources)[0]
+        return self._counter.sources(self._candidates(blocks), num_sources, max_sources)
 
     def _block(self, number: int) -> _Block:
         """One of the open frames' blocks, counted from the oldest."""
