@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from service.doa.kalman import AzimuthFilter, wrapped
 
@@ -31,8 +32,7 @@ class Detection:
     """Between 0 and 1: about the chance that a source is within 10 degrees"""
 
 
-@dataclass(frozen=True, slots=True)
-class Track:
+class Track(NamedTuple):
     """One talker, followed over time."""
 
     id: int

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 
-@dataclass(frozen=True, slots=True)
-class StreamClock:
+class StreamClock(NamedTuple):
     """How far a stream has come; sessions and pipelines count by the same clock."""
 
     rate: int

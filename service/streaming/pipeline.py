@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import soxr
@@ -48,8 +49,7 @@ class StreamPlan:
     """Of the robot itself, whitened away"""
 
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
+class Estimate(NamedTuple):
     """Where the sounds come from at one moment of the stream; azimuths in the array's frame."""
 
     t_start: float
@@ -198,7 +198,7 @@ class StreamPipeline:
         samples = decode_pcm(data, audio.encoding, audio.channels, self._plan.channel_map)
         self.diagnostics.add(samples)
         if audio.encoding == "pcm_f32le":
-            samples = np.nan_to_num(samples, copy=False)
+            samples = np.nan_to_num(samples)  # the diagnostics keep them as they came
         if self._resampler is not None:
             samples = self._resampler.resample_chunk(np.ascontiguousarray(samples.T)).T
         self._samples += samples.shape[1]

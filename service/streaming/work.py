@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from service.doa.diagnostics import Finding
 from service.doa.whitening import NoiseCovariance
@@ -30,8 +31,7 @@ class Open:
     """The calibration kept for the client"""
 
 
-@dataclass(frozen=True, slots=True)
-class Advance:
+class Advance(NamedTuple):
     """Take in audio up to the next result."""
 
     session: str
@@ -80,8 +80,7 @@ class Opened:
     clock: StreamClock
 
 
-@dataclass(frozen=True, slots=True)
-class Advanced:
+class Advanced(NamedTuple):
     """What one step gave."""
 
     clock: StreamClock

@@ -14,7 +14,7 @@ import numpy as np
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics.channels import QUIET, quiet_finding
 from service.doa.diagnostics.copies import copied_groups, copy_findings
-from service.doa.diagnostics.excerpt import Excerpt
+from service.doa.diagnostics.excerpt import SEGMENT_S, Excerpt
 from service.doa.diagnostics.finding import Finding, FindingCode
 from service.doa.diagnostics.levels import DEAD_BELOW, LevelMeter, dead_channels, level_findings
 from service.doa.diagnostics.sound import sound_findings
@@ -73,6 +73,10 @@ class RunningDiagnostics:
         self._lock = threading.Lock()
         self._meter = LevelMeter(len(self._names))
         self._excerpt = Excerpt(sample_rate, len(self._names))
+        self._gathered: list[FloatArray] = []
+        """Blocks that the meter and the excerpt have not seen: a segment at once costs them the
+        calls of one block"""
+        self._gathered_samples = 0
         self._samples = 0  # of audio; whole numbers, since sums of seconds drift
         self._sounding_samples = 0  # of audio with sound
         self._next_levels = FIRST_LEVELS_S
@@ -80,15 +84,18 @@ class RunningDiagnostics:
         self._reported: dict[tuple[FindingCode, int | None], float] = {}
 
     def add(self, block: FloatArray) -> None:
-        """Take the next block (N, T) float32 of any length; samples may be NaN or infinite."""
+        """Take the next block (N, T) float32 of any length; samples may be NaN or infinite.
+
+        The block is kept for a while and must not be changed.
+        """
         if block.shape[-1] == 0:
             return
         with self._lock:
-            clean = self._meter.add(block)
-            self._excerpt.add(clean)
+            self._gathered.append(block)
+            self._gathered_samples += block.shape[-1]
             self._samples += block.shape[-1]
-            if float(np.median(np.var(clean, axis=-1))) > QUIET:
-                self._sounding_samples += block.shape[-1]
+            if self._gathered_samples >= SEGMENT_S * self._sample_rate:
+                self._take_in()
 
     def due(self) -> bool:
         """Whether enough audio came in since the last check for another one."""
@@ -101,6 +108,7 @@ class RunningDiagnostics:
         of a second.
         """
         with self._lock:
+            self._take_in()
             now = self._heard
             levels = self._meter.levels()
             segments = self._excerpt.segments()
@@ -128,6 +136,17 @@ class RunningDiagnostics:
             )
             findings += found
         return [finding for finding in findings if self._is_new(finding, now)]
+
+    def _take_in(self) -> None:
+        """Show the meter and the excerpt what was gathered."""
+        if not self._gathered:
+            return
+        clean = self._meter.add(np.concatenate(self._gathered, axis=-1))
+        self._excerpt.add(clean)
+        if float(np.median(np.var(clean, axis=-1))) > QUIET:
+            self._sounding_samples += self._gathered_samples
+        self._gathered.clear()
+        self._gathered_samples = 0
 
     @property
     def _heard(self) -> float:
