@@ -25,10 +25,11 @@ from service.errors import InvalidOption
 from service.inference.bundle import COVARIANCE_STREAM, Bundle
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import localizer_of
+from service.inference.recent_blocks import WINDOW_BLOCKS
 from service.inference.regression import RegressionLocalizer
 from service.inference.results import Method, WindowEstimate
 from service.inference.weights import BLOCK_FRAMES
-from service.inference.weights_stream import WINDOW_BLOCKS, WeightsStream
+from service.inference.weights_stream import WeightsStream
 
 
 class StreamLocalizer(Protocol):
