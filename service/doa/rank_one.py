@@ -31,6 +31,9 @@ class RankOneMusic:
         self._floor = np.float32(floor)
         microphones = steering.shape[1]
         self._pairs = np.triu_indices(microphones, 1)
+        pairs = len(self._pairs[0])
+        self._opposite = np.repeat(np.array([1, -1], dtype=np.float32), [1 + pairs, pairs])
+        """Signs of the coefficients of opposite azimuths"""
         self._steering: ComplexArray | None = None
         self._products: FloatArray | None = None
         delays_alone = np.allclose(np.abs(steering), 1, atol=1e-5)  # not whitened
@@ -72,14 +75,16 @@ class RankOneMusic:
         conjugates.
         """
         first, second = self._pairs
-        planes = np.moveaxis(vectors, -1, 0)  # (N, K, F)
-        pairs = (planes[first] * np.conj(planes[second])).T  # (F, K, N (N - 1) / 2)
-        bins, count, number = pairs.shape
-        rows = np.empty((bins, count, 2, 1 + 2 * number), dtype=np.float32)
-        rows[..., 0] = 1
-        rows[..., 1 : 1 + number] = pairs.real[:, :, None]
-        rows[:, :, 0, 1 + number :] = pairs.imag
-        np.negative(pairs.imag, out=rows[:, :, 1, 1 + number :])
+        planes = vectors.transpose(2, 0, 1)  # (N, K, F)
+        pairs = planes[first] * np.conj(planes[second])
+        number, count, bins = pairs.shape
+        columns = np.empty((1 + 2 * number, count, bins), dtype=np.float32)
+        columns[0] = 1
+        columns[1 : 1 + number] = pairs.real
+        columns[1 + number :] = pairs.imag
+        rows = np.empty((bins, count, 2, len(columns)), dtype=np.float32)
+        rows[:, :, 0] = columns.transpose(2, 1, 0)
+        np.multiply(rows[:, :, 0], self._opposite, out=rows[:, :, 1])
         return rows.reshape(bins, 2 * count, -1)
 
 

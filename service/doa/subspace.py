@@ -71,18 +71,22 @@ def principal_eigenvector(covariance: ComplexArray) -> tuple[ComplexArray, Float
     share : (...) float32
         Between 1 / N and 1; 0 of a zero matrix.
     """
-    planes = np.moveaxis(covariance, (-2, -1), (0, 1))
+    # Matrices first, (N, N, C): numpy's moveaxis costs more than small arrays' arithmetic.
+    shape, microphones = covariance.shape[:-2], covariance.shape[-1]
+    axes = range(covariance.ndim - 2)
+    planes = covariance.transpose(-2, -1, *axes)
     product = _matrix_product
-    if covariance.shape[-1] <= MOST_PLANES:
+    if microphones <= MOST_PLANES:
         planes, product = np.ascontiguousarray(planes), _planes_product
+    planes = planes.reshape(microphones, microphones, -1)
     trace = _trace(planes)
     power = planes * (1 / trace)  # multiplied: a complex array by a real one divides slowly
     for _ in range(SQUARINGS):
         power = product(power, power)
     # The trace is made one again, so that float32 neither over- nor underflows.
     power *= 1 / _trace(power)
-    largest = np.argmax(np.einsum("ii...->i...", power).real, axis=0)
-    column = np.take_along_axis(power, largest[None, None], axis=1)  # (N, 1, ...)
+    largest = np.argmax(np.einsum("iic->ic", power).real, axis=0)
+    column = power[:, largest, np.arange(len(largest))][:, None]
     for _ in range(APPLICATIONS):
         column = product(power, column)
     column = column[:, 0]
@@ -90,7 +94,7 @@ def principal_eigenvector(covariance: ComplexArray) -> tuple[ComplexArray, Float
     image = product(planes, vector[:, None])[:, 0]
     value = np.sum(vector.real * image.real + vector.imag * image.imag, axis=0)
     share: FloatArray = value / trace
-    return np.moveaxis(vector, 0, -1), share
+    return vector.T.reshape(*shape, microphones), share.reshape(shape)
 
 
 def _planes_product(first: ComplexArray, second: ComplexArray) -> ComplexArray:

@@ -99,8 +99,8 @@ def refine(field: Field, sources: Sequence[Finding]) -> FloatArray:
     reach = round(REFINEMENT_REACH / step)
     azimuths = np.array([source.azimuth for source in sources])
     for number, source in enumerate(sources):
-        around = weights[number] @ field.around(source.index, reach)
-        place = _uphill(around.tolist())
+        around = (weights[number] @ field.around(source.index, reach)).tolist()
+        place = _uphill(around)
         if place is not None and around[place] > 0:
             moved = place - reach + parabolic_offset(around, place)
             azimuths[number] = (source.index + moved) * step % (2 * np.pi)

@@ -70,8 +70,7 @@ class Field:
         first, last, size = index - reach, index + reach + 1, self.cells.shape[1]
         if first >= 0 and last <= size:
             return self.cells[:, first:last]
-        columns: FloatArray = self.cells.take(np.arange(first, last) % size, axis=1)
-        return columns
+        return np.concatenate([self.cells[:, first % size :], self.cells[:, : last % size]], axis=1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,6 +53,6 @@ class Engine:
     def run(self, inputs: Sequence[FloatArray]) -> list[FloatArray]:
         """The graph's outputs, in the graph's order, for its inputs in the graph's order."""
         outputs: list[FloatArray] = self._session.run(
-            None, dict(zip(self.inputs, inputs, strict=True))
+            self.outputs, dict(zip(self.inputs, inputs, strict=True))
         )
         return outputs
