@@ -58,7 +58,8 @@ def weighted_covariance(unit: ComplexArray, weights: FloatArray, block_frames: i
     for i in range(microphones):
         for j in range(i, microphones):
             np.add.reduce(blocks[i] * conjugate[j], axis=1, out=planes[i, j])
-            np.conjugate(planes[i, j], out=planes[j, i])
+            if j > i:
+                np.conjugate(planes[i, j], out=planes[j, i])
     return planes.transpose(2, 3, 0, 1)
 
 

@@ -17,6 +17,8 @@ from service.doa.types import BoolArray, FloatArray, IntArray
 
 NUM_DESCRIPTORS = 21
 SHARP_LEVEL = 0.9
+TINY = np.finfo(np.float32).tiny
+"""What nothing is divided by"""
 NEIGHBOURHOOD = np.deg2rad(20.0)
 """In which blocks may disagree on where a candidate is: two close talkers do, one does not"""
 
@@ -195,14 +197,14 @@ def _disagreement(
 
 def _spread(weights: FloatArray) -> FloatArray:
     """Over which share of its places a row's weight is spread: 1 where evenly, 1 / size at one."""
-    squares = _squares(weights) * weights.shape[1]
-    spread: FloatArray = np.square(weights.sum(axis=1)) / np.where(squares > 0, squares, 1)
+    squares = np.maximum(_squares(weights) * weights.shape[1], TINY)
+    spread: FloatArray = np.square(weights.sum(axis=1)) / squares
     return spread
 
 
 def _cosine(rows: FloatArray, reference: FloatArray) -> FloatArray:
     norms = np.sqrt(_squares(rows) * (reference @ reference))
-    cosine: FloatArray = (rows @ reference) / np.where(norms > 0, norms, 1)
+    cosine: FloatArray = (rows @ reference) / np.maximum(norms, TINY)
     return cosine
 
 

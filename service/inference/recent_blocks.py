@@ -17,6 +17,7 @@ RECENCY = (1.0, 1.0, 1.0, 0.6, 0.3)
 five alike finds two who stand 1 % more often and follows one who walks 1.4 degrees worse; four
 blocks follow better still, but take the onset of sensor noise for a talker"""
 WINDOW_BLOCKS = len(RECENCY)
+_RECENCY = np.array(RECENCY, dtype=np.float32)[:, None]
 
 
 class RecentBlocks:
@@ -73,21 +74,24 @@ class RecentBlocks:
     def candidates(self) -> Candidates:
         """What the last blocks show together; there must have been one."""
         count = min(self._last, WINDOW_BLOCKS)
-        oldest = self._last - count
         # Blocks lie by place; ``age`` is a place's rank in time, the oldest first.
-        age = (np.arange(count) - oldest) % count
-        recency = np.array(RECENCY[:count], dtype=np.float32)[::-1]
-        self._complete(recency[age])
-        attention = np.empty((count, self._attention.shape[1]), dtype=np.float32)
-        attention[age] = self._attention[:count]
-        attention *= recency[:, None]
+        age = (np.arange(count) - (self._last - count)) % count
+        recency = _RECENCY[count - 1 - age]
+        self._complete(recency)
+        attention = self._attention[:count] * recency
         assert self._cells is not None
         cells, dominance = self._cells, self._dominance
         if count < WINDOW_BLOCKS:
             rows = [*range(count), WINDOW_BLOCKS]
             cells, dominance = cells[:, rows], dominance[rows]
-        chosen = np.broadcast_to(age[:, None], attention.shape)
-        return find_candidates(self._search.field(cells, attention, chosen, dominance))
+        field = self._search.field(
+            cells,
+            np.concatenate([attention, attention.sum(axis=0, keepdims=True)]),
+            np.tile(np.append(age, count), len(cells)),
+            count,
+            dominance,
+        )
+        return find_candidates(field)
 
     def _complete(self, recency: FloatArray) -> None:
         """Spectra and dominance of blocks that have none, and of the sum of all.
@@ -96,7 +100,7 @@ class RecentBlocks:
         """
         assert self._covariance is not None
         blocks = self._covariance[: len(recency)]
-        whole = (blocks * recency[:, None, None, None]).sum(axis=0, keepdims=True)
+        whole = (blocks * recency[..., None, None]).sum(axis=0, keepdims=True)
         stale = [self._covariance[place][None] for place in self._stale]
         principal, dominance = principal_eigenvectors(np.concatenate([*stale, whole]))
         cells = self._search.cell_spectra(principal)  # (F, K, A)

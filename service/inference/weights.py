@@ -136,33 +136,54 @@ class CandidateSearch:
         means = block_means(attention)
         chosen = strongest_blocks(means, self._analysis.kept_share)
         principal, dominance = principal_eigenvectors(cell_covariances(unit, weights, chosen))
-        return find_candidates(self.field(self.cell_spectra(principal), means, chosen, dominance))
+        cells = self.cell_spectra(principal)
+        return find_candidates(self.field_of_chosen(cells, means, chosen, dominance))
 
-    def field(
+    def field_of_chosen(
         self, cells: FloatArray, attention: FloatArray, chosen: IntArray, dominance: FloatArray
     ) -> Field:
-        """What candidates are found in.
+        """``field`` of blocks (R, F) that every bin chose, with the attention (K, F) of all."""
+        whole = np.full((1, chosen.shape[1]), len(attention))
+        total = attention.sum(axis=0, keepdims=True)
+        return self.field(
+            cells,
+            np.concatenate([np.take_along_axis(attention, chosen, axis=0), total]),
+            np.concatenate([chosen, whole]).T.ravel(),
+            len(attention),
+            dominance,
+        )
+
+    def field(
+        self,
+        cells: FloatArray,
+        attention: FloatArray,
+        block: IntArray,
+        blocks: int,
+        dominance: FloatArray,
+    ) -> Field:
+        """What candidates are found in: R blocks of every bin and its whole window.
 
         Parameters
         ----------
         cells : (F, R + 1, A)
-            Spectra of the chosen blocks and of the whole window.
-        attention : (K, F)
-            Of all blocks.
-        chosen : (R, F)
-            Block indices.
+            Spectra.
+        attention : (R + 1, F)
+            Of blocks and, last, the sum of all.
+        block : (F (R + 1),)
+            Every cell's block, bin by bin; the whole window's is ``blocks``.
+        blocks : int
+            How many there are.
         dominance : (R + 1, F)
         """
-        bins = dominance.shape[1]
-        whole = np.full((1, bins), len(attention))
-        attended = self.attend(attention, chosen, dominance)
+        attended = attention * dominance**self._analysis.dominance_power
+        attended[-1] *= np.float32(self._analysis.window_share)
         return Field(
             cells.reshape(-1, cells.shape[-1]),
             attended.T.ravel(),
             dominance.T.ravel(),
-            np.concatenate([chosen, whole]).T.ravel(),
-            bins,
-            len(attention) + 1,
+            block,
+            dominance.shape[1],
+            blocks + 1,
             self._array,
             self._resolution,
         )
@@ -196,13 +217,6 @@ class CandidateSearch:
     def cell_spectra(self, principal: ComplexArray) -> FloatArray:
         """Rank-one MUSIC of every cell: (R, F, N) to (F, R, A) float32, maximum 1 each."""
         return self._music.spectra(principal)
-
-    def attend(self, attention: FloatArray, chosen: IntArray, dominance: FloatArray) -> FloatArray:
-        """What every cell counts in the fusion, (R + 1, F) float32; parameters as in ``field``."""
-        whole = attention.sum(axis=0, keepdims=True) * np.float32(self._analysis.window_share)
-        cells = np.concatenate([np.take_along_axis(attention, chosen, axis=0), whole])
-        attended: FloatArray = cells * dominance**self._analysis.dominance_power
-        return attended.astype(np.float32, copy=False)
 
 
 def whole_blocks(frames: int) -> int:
