@@ -69,14 +69,16 @@ def find_findings(field: Field) -> list[Finding]:
     """The candidates one after the other, each with the state in which it was found."""
     findings: list[Finding] = []
     remaining = field.attention
-    while field.total > 0 and len(findings) < NUM_CANDIDATES:
+    if not field.total > 0:
+        return findings
+    while len(findings) < NUM_CANDIDATES:
         fused = attention_fusion(field.cells, remaining)
         peaks = find_peaks(fused, 2)
         if not peaks:
             break
         index = round(peaks[0].azimuth / (2 * np.pi) * fused.size) % fused.size
         pointing = field.cells[:, index].copy()
-        support = np.where(pointing > REMOVAL_LEVEL, remaining, np.float32(0))
+        support = remaining * (pointing > REMOVAL_LEVEL)
         findings.append(Finding(peaks, index, fused, pointing, support, remaining))
         remaining = remaining - support
     return findings

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -45,12 +44,12 @@ class Field:
     resolution: float
     """Of the array, from ``service.doa.steering.resolution``"""
 
-    @cached_property
+    @property
     def total(self) -> float:
         """Of the attention."""
         return float(self.attention.sum())
 
-    @cached_property
+    @property
     def of_block(self) -> FloatArray:
         """(K, C) float32: 1 where a cell is of a block."""
         same: BoolArray = self.block == np.arange(self.num_blocks)[:, None]
@@ -99,14 +98,14 @@ class Finding:
 
 def describe(field: Field, findings: Sequence[Finding]) -> FloatArray:
     """(n, D) float32 of all findings of a window, in the order in which they were found."""
-    total = np.float32(field.total)
+    total, of_block = np.float32(field.total), field.of_block
     support = np.stack([found.support for found in findings]) / total  # (n, C)
     pointing = np.stack([found.pointing for found in findings])
     remaining = np.stack([found.remaining for found in findings])
-    in_time = support @ field.of_block.T  # (n, K)
+    in_time = support @ of_block.T  # (n, K)
     in_bins = field.in_bins(support)  # (n, F)
     mass = in_time.sum(axis=1)
-    sharp = np.where(pointing > SHARP_LEVEL, support, np.float32(0))
+    sharp = support * (pointing > SHARP_LEVEL)
     dominant = support @ field.dominance / np.maximum(mass, 1e-9)
     cells = field.num_blocks * field.num_bins  # those included that were never computed
     columns = [
@@ -117,14 +116,14 @@ def describe(field: Field, findings: Sequence[Finding]) -> FloatArray:
         remaining.sum(axis=1) / total,
         findings[0].fused[[found.index for found in findings]],
         _nearest_earlier([found.azimuth for found in findings]),
-        float(field.attention @ field.dominance) / field.total,
-        0.1 * np.log(field.total / cells + 1e-6),  # loudness
+        field.attention @ field.dominance / total,
+        0.1 * np.log(total / cells + 1e-6),  # loudness
         field.array.num_microphones / 8,
         field.resolution,
         dominant,
         sharp.sum(axis=1),
         *_likeness(in_time[:, :-1], in_bins),
-        *_disagreement(field, findings, remaining, in_time[:, :-1]),
+        *_disagreement(field, findings, of_block[:-1, None] * remaining, in_time[:, :-1]),
     ]
     descriptors = np.empty((len(findings), NUM_DESCRIPTORS), dtype=np.float32)
     for place, column in enumerate(columns):
@@ -141,7 +140,7 @@ def _peak_shapes(findings: Sequence[Finding]) -> tuple[FloatArray, ...]:
     sides = (fused[rows, index - step] + fused[rows, (index + step) % size]) / 2
     heights = np.array([found.peaks[0].height for found in findings])
     second = np.array([found.peaks[1].height if len(found.peaks) > 1 else 0 for found in findings])
-    return heights, fused.mean(axis=1), second / heights, sides / heights
+    return heights, fused.sum(axis=1) / size, second / heights, sides / heights
 
 
 def _nearest_earlier(azimuths: Sequence[float]) -> FloatArray:
@@ -167,20 +166,19 @@ def _likeness(in_time: FloatArray, in_bins: FloatArray) -> tuple[FloatArray, ...
 
 
 def _disagreement(
-    field: Field, findings: Sequence[Finding], remaining: FloatArray, weight: FloatArray
+    field: Field, findings: Sequence[Finding], attention: FloatArray, weight: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Spread in units of 10 degrees of the blocks' own peaks near the candidates, and its drift.
 
-    The drift is the spread's part that goes with time: talkers that take turns. ``remaining``
-    (n, C) are the findings' own, ``weight`` (n, K - 1) is what the blocks count.
+    The drift is the spread's part that goes with time: talkers that take turns. ``attention``
+    (K - 1, n, C) is what remained before each, ``weight`` (n, K - 1) what the blocks count.
     """
     size = findings[0].fused.size
     reach = round(NEIGHBOURHOOD / (2 * np.pi) * size)
-    weighted = field.of_block[:-1] * remaining[:, None]  # (n, K - 1, C)
     blocks = np.stack(
         [
             each @ field.around(found.index, reach)
-            for each, found in zip(weighted, findings, strict=True)
+            for each, found in zip(attention.swapaxes(0, 1), findings, strict=True)
         ]
     )  # (n, K - 1, 2 reach + 1)
     offset = (blocks.argmax(axis=2) - reach) * (36.0 / size)

@@ -87,7 +87,7 @@ class RecentBlocks:
         field = self._search.field(
             cells,
             np.concatenate([attention, attention.sum(axis=0, keepdims=True)]),
-            np.tile(np.append(age, count), len(cells)),
+            np.repeat([[*age.tolist(), count]], len(cells), axis=0).ravel(),
             count,
             dominance,
         )

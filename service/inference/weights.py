@@ -38,6 +38,7 @@ is left out"""
 LEAST_FIRST = 0.2
 """The same of the most confident: whether anyone sounds is the count's to say, unless it is all but
 sure that nobody sounds there"""
+LEAST_DOMINANCE = np.float32(1e-4)
 CELL_LOADING = 1e-6
 """Of the frames' unit power: blocks that the network all but drops lose their dominance"""
 
@@ -273,8 +274,8 @@ def principal_eigenvectors(covariance: ComplexArray) -> tuple[ComplexArray, Floa
     """
     vectors, share = principal_eigenvector(covariance)
     microphones = covariance.shape[-1]
-    dominance = np.clip((share - 1 / microphones) / (1 - 1 / microphones), 1e-4, 1)
-    return vectors, dominance.astype(np.float32)
+    dominance = (share - np.float32(1 / microphones)) * np.float32(microphones / (microphones - 1))
+    return vectors, np.minimum(np.maximum(dominance, LEAST_DOMINANCE), np.float32(1))
 
 
 class SourceCounter:
