@@ -65,8 +65,8 @@ def weighted_covariance(unit: ComplexArray, weights: FloatArray, block_frames: i
 
 def diagonal_loading(covariance: ComplexArray, loading: float) -> ComplexArray:
     """R + loading I, in place; it bounds the eigenvalues from below, the eigenvectors stay."""
-    diagonal = np.einsum("...ii->...i", covariance)
-    diagonal += np.float32(loading)
+    for microphone in range(covariance.shape[-1]):  # planes in memory are added to one by one
+        covariance[..., microphone, microphone] += np.float32(loading)
     return covariance
 
 
