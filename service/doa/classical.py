@@ -17,11 +17,17 @@ from __future__ import annotations
 import numpy as np
 
 from service.doa.fusion import mean_fusion, normalise
+from service.doa.pair_products import PairProducts
 from service.doa.subspace import music_spectrum, signal_subspace
 from service.doa.types import ComplexArray, FloatArray
 
 
-def music(covariance: ComplexArray, steering: ComplexArray, num_sources: int) -> FloatArray:
+def music(
+    covariance: ComplexArray,
+    steering: ComplexArray,
+    num_sources: int,
+    products: PairProducts | None = None,
+) -> FloatArray:
     """Broadband MUSIC, the arithmetic mean over bins.
 
     Parameters
@@ -29,6 +35,8 @@ def music(covariance: ComplexArray, steering: ComplexArray, num_sources: int) ->
     covariance : (..., F, N, N) complex64
     steering : (F, N, A) complex64
     num_sources : int
+    products : PairProducts, optional
+        Of the steering vectors: half of the time.
 
     Returns
     -------
@@ -38,11 +46,17 @@ def music(covariance: ComplexArray, steering: ComplexArray, num_sources: int) ->
     ----------
     Schmidt, 1986.
     """
-    return mean_fusion(music_spectrum(signal_subspace(covariance, num_sources), steering))
+    subspace = signal_subspace(covariance, num_sources)
+    return mean_fusion(music_spectrum(subspace, steering, products=products))
 
 
-def norm_music(covariance: ComplexArray, steering: ComplexArray, num_sources: int) -> FloatArray:
-    """Broadband MUSIC with every bin's spectrum divided by its maximum: (..., A) float32.
+def norm_music(
+    covariance: ComplexArray,
+    steering: ComplexArray,
+    num_sources: int,
+    products: PairProducts | None = None,
+) -> FloatArray:
+    """Broadband MUSIC with every bin's spectrum divided by its maximum: parameters as ``music``.
 
     References
     ----------
@@ -50,7 +64,7 @@ def norm_music(covariance: ComplexArray, steering: ComplexArray, num_sources: in
     power algorithms in noisy environments.
     """
     subspace = signal_subspace(covariance, num_sources)
-    return mean_fusion(normalise(music_spectrum(subspace, steering)))
+    return mean_fusion(normalise(music_spectrum(subspace, steering, products=products)))
 
 
 def srp_phat(cross: ComplexArray, steering: ComplexArray) -> FloatArray:

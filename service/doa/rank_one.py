@@ -11,7 +11,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from service.doa.covariance import MOST_PLANES
+from service.doa.pair_products import pair_products
 from service.doa.steering import azimuth_grid, steering_vectors
 from service.doa.subspace import eigenvector_power
 from service.doa.types import ComplexArray, FloatArray
@@ -29,37 +29,16 @@ class RankOneMusic:
 
     def __init__(self, steering: ComplexArray, floor: float) -> None:
         self._floor = np.float32(floor)
-        microphones = steering.shape[1]
-        self._pairs = np.triu_indices(microphones, 1)
-        pairs = len(self._pairs[0])
-        self._opposite = np.repeat(np.array([1, -1], dtype=np.float32), [1 + pairs, pairs])
-        """Signs of the coefficients of opposite azimuths"""
-        self._steering: ComplexArray | None = None
-        self._products: FloatArray | None = None
-        delays_alone = np.allclose(np.abs(steering), 1, atol=1e-5)  # not whitened
-        if microphones > MOST_PLANES or not (delays_alone and _in_opposite_pairs(steering)):
-            self._steering = steering
-        else:
-            half = steering.shape[2] // 2
-            self._products = self._distance_products(steering[..., :half])
-
-    def _distance_products(self, steering: ComplexArray) -> FloatArray:
-        """What ``_coefficients`` are multiplied with to give distances: (F, 1 + N (N - 1), A / 2).
-
-        |u^H a|^2 = ||u||^2 + sum over pairs of 2 Re(u_i u_j^* a_i^* a_j), all |a_n| being one: for
-        few microphones a real matrix product, less than the complex response and its square.
-        """
-        first, second = self._pairs
-        microphones = steering.shape[1]
-        pairs = np.conj(steering[:, first]) * steering[:, second] * (-2 / microphones)
-        constant = np.full_like(steering[:, :1].real, 1 + self._floor - 1 / microphones)
-        return np.concatenate([constant, pairs.real, -pairs.imag], axis=1, dtype=np.float32)
+        # 1 + floor - |u^H a|^2 / N is that of the matrix -u u^H with another trace.
+        self._trace = steering.shape[1] * (1 + floor) - 1
+        self._products = pair_products(steering)
+        self._steering = None if self._products else steering
 
     def spectra(self, vectors: ComplexArray) -> FloatArray:
         """Spectra (F, K, A) float32, each with maximum 1, of unit vectors (K, F, N)."""
         if self._products is not None:
-            halves = self._coefficients(vectors) @ self._products  # (F, 2 K, A / 2)
-            distance: FloatArray = halves.reshape(len(halves), len(vectors), -1)
+            pairs = self._products.outer(vectors.transpose(2, 0, 1))
+            distance = self._products.power(self._trace, np.negative(pairs, out=pairs))
         else:
             assert self._steering is not None
             by_bin = np.ascontiguousarray(vectors.transpose(1, 2, 0))
@@ -67,31 +46,6 @@ class RankOneMusic:
             np.subtract(1 + self._floor, distance, out=distance)
         np.divide(distance.min(axis=-1, keepdims=True), distance, out=distance)
         return distance
-
-    def _coefficients(self, vectors: ComplexArray) -> FloatArray:
-        """1 and real and imaginary parts of u_i u_j^* of all pairs: (F, 2 K, 1 + N (N - 1)).
-
-        Two rows for every vector, the second for opposite azimuths: their products are the
-        conjugates.
-        """
-        first, second = self._pairs
-        planes = vectors.transpose(2, 0, 1)  # (N, K, F)
-        pairs = planes[first] * np.conj(planes[second])
-        number, count, bins = pairs.shape
-        columns = np.empty((1 + 2 * number, count, bins), dtype=np.float32)
-        columns[0] = 1
-        columns[1 : 1 + number] = pairs.real
-        columns[1 + number :] = pairs.imag
-        rows = np.empty((bins, count, 2, len(columns)), dtype=np.float32)
-        rows[:, :, 0] = columns.transpose(2, 1, 0)
-        np.multiply(rows[:, :, 0], self._opposite, out=rows[:, :, 1])
-        return rows.reshape(bins, 2 * count, -1)
-
-
-def _in_opposite_pairs(steering: ComplexArray) -> bool:
-    """Whether the second half of the azimuths is opposite the first: delays change their signs."""
-    first, second = np.array_split(steering, 2, axis=2)
-    return first.shape == second.shape and np.allclose(second, np.conj(first), atol=1e-4)
 
 
 _shared: WeakValueDictionary[tuple[bytes, bytes, int, float], RankOneMusic] = WeakValueDictionary()

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from service.doa.covariance import MOST_PLANES
+from service.doa.pair_products import PairProducts
 from service.doa.types import ComplexArray, FloatArray
 from service.errors import TooManySources
 
@@ -155,18 +156,31 @@ def eigenvector_power(vectors: ComplexArray, steering: ComplexArray) -> FloatArr
     return power
 
 
-def signal_power(subspace: ComplexArray, steering: ComplexArray) -> FloatArray:
+def signal_power(
+    subspace: ComplexArray, steering: ComplexArray, products: PairProducts | None = None
+) -> FloatArray:
     """||Us^H a||^2 / N for every steering vector: 1 where a lies in the signal subspace.
 
     ``subspace`` (..., F, N, M) with orthonormal columns and ``steering`` (F, N, A) give
-    (..., F, A) float32 between 0 and 1.
+    (..., F, A) float32 between 0 and 1; in half of the time with the steering vectors'
+    ``pair_products``.
     """
-    power: FloatArray = eigenvector_power(subspace, steering).sum(axis=-2)
-    return power
+    power: FloatArray
+    if products is None:
+        power = eigenvector_power(subspace, steering).sum(axis=-2)
+        return power
+    *windows, bins, _, dimension = subspace.shape
+    vectors = np.moveaxis(subspace, (-2, -1), (0, 1))  # (N, M, ..., F)
+    projector = products.outer(vectors).sum(axis=1)
+    power = products.power(dimension, projector.reshape(len(projector), -1, bins))
+    return np.moveaxis(power, 0, 1).reshape(*windows, bins, -1)
 
 
 def music_spectrum(
-    subspace: ComplexArray, steering: ComplexArray, floor: float = DENOMINATOR_FLOOR
+    subspace: ComplexArray,
+    steering: ComplexArray,
+    floor: float = DENOMINATOR_FLOOR,
+    products: PairProducts | None = None,
 ) -> FloatArray:
     """MUSIC pseudo-spectrum per frequency bin, 1 / (1 - ||Us^H a||^2 / N + floor).
 
@@ -176,6 +190,8 @@ def music_spectrum(
     steering : (F, N, A) complex64
     floor : float
         Keeps the spectrum finite where a lies in the signal subspace; a larger one broadens peaks.
+    products : PairProducts, optional
+        Of the steering vectors.
 
     Returns
     -------
@@ -186,6 +202,10 @@ def music_spectrum(
     ----------
     Schmidt, 1986, Multiple emitter location and signal parameter estimation, eq. (6).
     """
-    distance = 1.0 - signal_power(subspace, steering)
-    spectrum: FloatArray = 1.0 / (np.maximum(distance, 0.0) + np.float32(floor))
+    # In place: fresh memory costs more than arithmetic.
+    spectrum = signal_power(subspace, steering, products)
+    np.subtract(1, spectrum, out=spectrum)
+    np.maximum(spectrum, 0, out=spectrum)
+    spectrum += np.float32(floor)
+    np.divide(1, spectrum, out=spectrum)
     return spectrum

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from weakref import WeakValueDictionary
+
 import numpy as np
 
 from service.doa import classical
 from service.doa.array import MicrophoneArray
 from service.doa.covariance import sample_covariance
 from service.doa.mirror import searched_half
+from service.doa.pair_products import pair_products
 from service.doa.peaks import find_peaks
 from service.doa.steering import azimuth_grid, steering_vectors
 from service.doa.stft import Stft
@@ -23,6 +26,26 @@ LEAST_CONTRAST = {"norm_music": 0.32, "music": 0.32, "srp_phat": 0.24}
 """1 - mean / peak of the spectrum: white and diffuse noise stay below, most talkers do not"""
 LEAST_RESPONSE = 0.03
 """SRP-PHAT's highest steered response, 1 for a plane wave: white noise stays below 0.02"""
+
+
+class Grid:
+    """Steering vectors (F, N, A) and, where there are any, their products."""
+
+    def __init__(self, steering: ComplexArray) -> None:
+        self.steering = steering
+        self.products = pair_products(steering)
+
+
+_shared: WeakValueDictionary[tuple[bytes, bytes], Grid] = WeakValueDictionary()
+
+
+def shared_grid(positions: FloatArray, frequencies: FloatArray) -> Grid:
+    """The grid of an array (N, 3), the same instance as long as anybody has one: megabytes."""
+    key = (positions.tobytes(), frequencies.tobytes())
+    grid = _shared.get(key)
+    if grid is None:
+        grid = _shared[key] = Grid(steering_vectors(positions, frequencies, azimuth_grid()))
+    return grid
 
 
 class ClassicalLocalizer:
@@ -41,11 +64,11 @@ class ClassicalLocalizer:
         self._stft = stft or Stft()
         frequencies = self._stft.frequencies
         self._band = (frequencies >= band[0]) & (frequencies <= band[1])
-        self._steering = steering_vectors(array.positions, frequencies[self._band], azimuth_grid())
+        self._grid = shared_grid(array.positions, frequencies[self._band])
         self._whitening: Whitening | None = None
         if noise is not None:
             self._whitening = Whitening.fitting(noise, array, self._stft).band(self._band)
-            self._steering = self._whitening.steering(self._steering)
+            self._grid = Grid(self._whitening.steering(self._grid.steering))
         self._searched = searched_half(array, azimuth_grid())
         self._most_sources = array.num_microphones - 1
 
@@ -77,9 +100,9 @@ class ClassicalLocalizer:
     def spectrum(self, covariance: ComplexArray, num_sources: int) -> FloatArray:
         """Broadband spectrum (A,) from what ``covariance`` gives."""
         if self._method == "srp_phat":
-            return np.maximum(classical.srp_phat(covariance, self._steering), 0)
+            return np.maximum(classical.srp_phat(covariance, self._grid.steering), 0)
         method = classical.music if self._method == "music" else classical.norm_music
-        return method(covariance, self._steering, num_sources)
+        return method(covariance, self._grid.steering, num_sources, self._grid.products)
 
     def _pick(
         self, spectrum: FloatArray, num_sources: int | None, max_sources: int
