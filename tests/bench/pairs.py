@@ -1,4 +1,4 @@
-"""What a window and a stream's step cost here and in another checkout, in turns.
+"""What windows and a stream's step cost here and in another checkout, in turns.
 
 On a shared machine the same work takes half as long again from one second to the next. So two
 processes, one of each checkout, take turns of some milliseconds, and the ratio of each pair counts:
@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Iterator
 from itertools import cycle
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -29,7 +29,8 @@ STREAMS = 8
 """That take a step each in a turn: what one leaves in the cache is not all for the next"""
 WARM_UP = 15
 
-Work = Literal["window", "step"]
+Work = Literal["window", "classical", "step"]
+"""A neural window, one of NormMUSIC in 257 bins, a stream's 100 ms"""
 
 
 class Turns:
@@ -73,7 +74,7 @@ def compare(before: Path, work: Work, pairs: int) -> str:
     before_ms, now_ms = np.median(spent, axis=0)
     low, ratio, high = np.percentile([now / then for then, now in spent], [25, 50, 75])
     return (
-        f"{work:8}{before_ms:6.2f} ms before,{now_ms:6.2f} now, in pairs {ratio:.3f} "
+        f"{work:11}{before_ms:6.2f} ms before,{now_ms:6.2f} now, in pairs {ratio:.3f} "
         f"({low:.3f} to {high:.3f})"
     )
 
@@ -83,7 +84,7 @@ def take_turns(work: Work) -> None:
     from service.memory import keep_freed_memory
 
     keep_freed_memory()  # as the workers do
-    turns = _windows() if work == "window" else _steps()
+    turns = _steps() if work == "step" else _windows(work)
     for _ in range(WARM_UP):
         next(turns)()
     for _ in sys.stdin:
@@ -93,19 +94,24 @@ def take_turns(work: Work) -> None:
         print((time.process_time_ns() - began) / done / 1e6, flush=True)
 
 
-def _windows() -> Iterator[Callable[[], int]]:
-    from service.bench import bench_window
+def _windows(work: Work) -> Iterator[Callable[[], int]]:
+    from service.bench import WHOLE_BAND, bench_window
     from service.doa.presets import preset
     from service.inference.bundle import load_bundle
+    from service.inference.classical import ClassicalLocalizer
     from service.inference.localizer import localizer_of
 
     array = preset(ARRAY)
-    localizer = localizer_of(load_bundle(ROOT / "service/models/any-array"), array)
+    localizer = (
+        localizer_of(load_bundle(ROOT / "service/models/any-array"), array)
+        if work == "window"
+        else ClassicalLocalizer("norm_music", array, band=WHOLE_BAND)
+    )
     windows = [bench_window(array, seed) for seed in range(4)]
 
     def turn() -> int:
         for window in windows[:WINDOWS]:
-            localizer.estimate(window[None], None, 3)
+            localizer.estimate(window[None], 2, 2)
         windows.append(windows.pop(0))
         return WINDOWS
 
@@ -142,12 +148,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("before", type=Path, help="the other checkout")
     parser.add_argument("--pairs", type=int, default=400)
-    parser.add_argument("--turns", choices=("window", "step"), help=argparse.SUPPRESS)
+    parser.add_argument("--turns", choices=get_args(Work), help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.turns:
         take_turns(asked.turns)
         return
-    for work in ("window", "step"):
+    for work in get_args(Work):
         print(compare(asked.before.resolve(), work, asked.pairs), flush=True)
 
 
