@@ -22,7 +22,8 @@ def sample_covariance(spectra: ComplexArray) -> ComplexArray:
     -------
     covariance : (..., F, N, N) complex64
     """
-    by_bin = np.swapaxes(spectra, -3, -2)  # (..., F, N, L)
+    # Copied once: the product would copy both of its operands.
+    by_bin = np.ascontiguousarray(np.swapaxes(spectra, -3, -2))  # (..., F, N, L)
     covariance: ComplexArray = by_bin @ np.conj(np.swapaxes(by_bin, -1, -2))
     return covariance / np.float32(spectra.shape[-1])
 

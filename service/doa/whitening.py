@@ -25,7 +25,7 @@ import numpy as np
 from service.doa.array import MicrophoneArray
 from service.doa.silence import SILENCE
 from service.doa.stft import Stft
-from service.doa.types import BoolArray, ComplexArray, FloatArray
+from service.doa.types import ComplexArray, FloatArray
 from service.errors import NoiseCalibrationFailed, NoiseMismatch
 
 LOADING = 1e-4
@@ -167,7 +167,7 @@ class Whitening:
             )
         return cls.of(noise)
 
-    def band(self, bins: slice | BoolArray) -> Whitening:
+    def band(self, bins: slice) -> Whitening:
         """The whitening of some of the bins."""
         return Whitening(self.matrices[bins])
 

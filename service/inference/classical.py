@@ -63,7 +63,11 @@ class ClassicalLocalizer:
         self._method = method
         self._stft = stft or Stft()
         frequencies = self._stft.frequencies
-        self._band = (frequencies >= band[0]) & (frequencies <= band[1])
+        # A slice, since an array of bins would copy every window's spectra.
+        self._band = slice(
+            int(np.searchsorted(frequencies, band[0])),
+            int(np.searchsorted(frequencies, band[1], side="right")),
+        )
         self._grid = shared_grid(array.positions, frequencies[self._band])
         self._whitening: Whitening | None = None
         if noise is not None:
