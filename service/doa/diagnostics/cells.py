@@ -53,7 +53,11 @@ class Cells:
 class _Block:
     power: float
     frequency: FloatArray
-    vectors: ComplexArray
+    """(C,) hertz"""
+    frames: ComplexArray
+    """(C, N, K)"""
+    gram: ComplexArray
+    """(C, K, K)"""
 
 
 def direct_cells(
@@ -94,7 +98,10 @@ def direct_cells(
     return Cells(
         np.concatenate([block.frequency for block in blocks]),
         np.concatenate([np.full(b.frequency.size, index) for index, b in enumerate(blocks)]),
-        np.concatenate([block.vectors for block in blocks]),
+        _principal(
+            np.concatenate([block.frames for block in blocks]),
+            np.concatenate([block.gram for block in blocks]),
+        ),
     )
 
 
@@ -116,14 +123,15 @@ def _segment_blocks(spectra: ComplexArray, frequencies: FloatArray) -> list[_Blo
         chosen = np.argsort(-strength[index])[:BLOCK_CELLS]
         chosen = chosen[strength[index, chosen] > 0]
         if chosen.size >= MIN_BLOCK_CELLS:
-            vectors = _principal(blocks[index, chosen], gram[index, chosen])
-            found.append(_Block(float(strength[index].sum()), frequencies[chosen], vectors))
+            power_of_all = float(strength[index].sum())
+            own = blocks[index, chosen], gram[index, chosen]
+            found.append(_Block(power_of_all, frequencies[chosen], *own))
     return found
 
 
-def _principal(blocks: ComplexArray, gram: ComplexArray) -> ComplexArray:
-    """Phases (C, N) of the principal left singular vectors of blocks (C, N, K)."""
+def _principal(frames: ComplexArray, gram: ComplexArray) -> ComplexArray:
+    """Phases (C, N) of the principal left singular vectors of frames (C, N, K)."""
     _, vectors = np.linalg.eigh(gram)
-    left = (blocks @ vectors[..., -1:])[..., 0]
+    left = (frames @ vectors[..., -1:])[..., 0]
     phases: ComplexArray = left / np.maximum(np.abs(left), np.finfo(np.float32).tiny)
     return phases.astype(np.complex64)

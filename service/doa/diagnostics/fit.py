@@ -15,8 +15,7 @@ from service.doa.types import ComplexArray, FloatArray
 
 AZIMUTH_STEP = np.deg2rad(5.0)
 ELEVATIONS = np.arccos([1.0, 0.9, 0.75, 0.6])  # even steps of the delays in a level array
-CHUNK = 64  # hypotheses at once
-GROUP = 4  # blocks at once: with a chunk of hypotheses 15 MB of responses
+CHUNK = 8  # hypotheses at once: with a block's cells half a megabyte of responses
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,10 +58,7 @@ class PlaneWaveFit:
         self._frequencies, self._bin = np.unique(cells.frequency, return_inverse=True)
         self._given = self._steering(1.0)
         self._counts = np.bincount(cells.block, minlength=cells.num_blocks)
-        # Cells stand block by block; responses are computed for a few blocks at a time.
-        self._starts = np.concatenate([[0], np.cumsum(self._counts)])
-        edges = [*range(0, cells.num_blocks, GROUP), cells.num_blocks]
-        self._groups = list(pairwise(edges))
+        self._starts = np.concatenate([[0], np.cumsum(self._counts)])  # cells stand block by block
 
     def scores(self, hypotheses: Sequence[Hypothesis]) -> FloatArray:
         """Fits (H, B) of hypotheses that share one scale."""
@@ -93,17 +89,15 @@ class PlaneWaveFit:
         steering = self._given if scale == 1.0 else self._steering(scale)
         undone = np.exp(2j * np.pi * cells.frequency[:, None, None] * late)  # (C, H, N)
         vectors = cells.vectors[:, order] * undone.astype(np.complex64)
-        summed = []
-        for begin, end in self._groups:
-            rows = slice(self._starts[begin], self._starts[end])
-            response = np.conj(vectors[rows]) @ steering[self._bin[rows]]  # (C', H, A)
+        total = np.empty((len(hypotheses), cells.num_blocks, self._azimuth.size), dtype=np.float32)
+        for block, (begin, end) in enumerate(pairwise(self._starts)):
+            response = np.conj(vectors[begin:end]) @ steering[self._bin[begin:end]]  # (C', H, A)
             # Squared in place and summed before parts meet: fresh memory costs most.
-            parts = response.view(response.real.dtype)
+            parts = response.view(np.float32)
             np.square(parts, out=parts)
-            starts = self._starts[begin:end] - self._starts[begin]
-            sums = np.add.reduceat(parts, starts, axis=0)  # (blocks, H, 2A)
-            summed.append(sums[..., 0::2] + sums[..., 1::2])
-        total: FloatArray = np.concatenate(summed).swapaxes(0, 1) / np.float32(microphones**2)
+            sums = np.add.reduce(parts, axis=0)  # (H, 2A)
+            np.add(sums[:, 0::2], sums[:, 1::2], out=total[:, block])
+        total /= np.float32(microphones**2)
         return total
 
     def _steering(self, scale: float) -> ComplexArray:

@@ -66,12 +66,14 @@ def _delays(
     distances = pairwise_distances(array.positions)
     fits, unchecked = _geometry(segments, sample_rate, names, array, max_blocks)
     late = lag_findings(segments, sample_rate, distances, names)
+    if not late:
+        return fits, unchecked
     # A wrong scale or order makes channels look late; lags beyond the whole array are no order.
     beyond = np.full_like(distances, distances.max())
     explained = {"array_scale", "sample_rate_wrong"}
     if not lag_findings(segments, sample_rate, beyond, names):
         explained.add("channel_order")
-    if not late or any(finding.code in explained for finding in fits):
+    if any(finding.code in explained for finding in fits):
         return fits, unchecked
     return late, "late channels come first"
 
