@@ -18,7 +18,7 @@ from fastapi import FastAPI
 from service.api.hosts import is_loopback
 from service.api.state import ServiceState
 from service.app import create_app
-from service.connections import HttpProtocol, limit_untaken
+from service.connections import HttpProtocol, StreamProtocol, limit_untaken
 from service.errors import ReloadRefused
 from service.logs import configure_logging, server_log_level
 from service.settings import Settings
@@ -154,7 +154,7 @@ def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
         server_header=False,
         timeout_graceful_shutdown=math.ceil(settings.drain_grace) + FAREWELL,
         http=HttpProtocol,
-        ws="websockets-sansio",
+        ws=StreamProtocol,
         ws_max_size=WS_MAX_SIZE,
         ws_per_message_deflate=False,
     )

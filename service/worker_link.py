@@ -13,7 +13,8 @@ import socket
 import struct
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,8 @@ from service.logs import configure_logging
 from service.settings import Settings
 
 HEADER = struct.Struct("<I")
+READ_BYTES = 2**16
+"""At most at a time: a stream's work or its outcome is smaller"""
 READY = "ready"
 
 
@@ -42,12 +45,35 @@ def packed(message: object) -> bytes:
     return HEADER.pack(len(data)) + data
 
 
+class Unpacker:
+    """Messages out of bytes in pieces of any size."""
+
+    def __init__(self) -> None:
+        self._held = bytearray()
+
+    def add(self, data: bytes) -> None:
+        """Take the next bytes."""
+        self._held += data
+
+    def messages(self) -> Iterator[Any]:
+        """Those that are complete, in order."""
+        while len(self._held) >= HEADER.size:
+            end = HEADER.size + HEADER.unpack_from(self._held)[0]
+            if len(self._held) < end:
+                return
+            message = pickle.loads(self._held[HEADER.size : end])
+            del self._held[:end]
+            yield message
+
+
 class Link:
     """One end of the socket, blocking."""
 
     def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
         self._lock = threading.Lock()
+        self._unpacker = Unpacker()
+        self._files: deque[int] = deque()
 
     def send(self, message: object, files: Sequence[int] = ()) -> None:
         """Send one message, and file descriptors with it; safe to call from several threads."""
@@ -62,21 +88,14 @@ class Link:
 
     def receive_with_file(self) -> tuple[Any, int | None]:
         """The next message and the file descriptor that came with it, which is the caller's."""
-        head, files, _, _ = socket.recv_fds(self._connection, HEADER.size, 1)
-        if not head:
-            raise EOFError
-        head += self._exactly(HEADER.size - len(head))
-        (length,) = HEADER.unpack(head)
-        return pickle.loads(self._exactly(length)), files[0] if files else None
-
-    def _exactly(self, count: int) -> bytes:
-        data = bytearray()
-        while len(data) < count:
-            piece = self._connection.recv(count - len(data))
-            if not piece:
+        while True:
+            for message in self._unpacker.messages():
+                return message, self._files.popleft() if self._files else None
+            data, files, _, _ = socket.recv_fds(self._connection, READ_BYTES, 1)
+            if not data:
                 raise EOFError
-            data += piece
-        return bytes(data)
+            self._files.extend(files)
+            self._unpacker.add(data)
 
 
 def run_worker(serve: Callable[[Link, Settings, BundleRegistry], None]) -> None:

@@ -90,6 +90,8 @@ class Connection:
         self._streams = state.streams
         self._most = settings.max_sessions_per_client
         self._outbox = Outbox()
+        self._sending: float | None = None
+        """Since when a message is being sent, by the loop's clock"""
         self._room = asyncio.Event()
         self._room.set()  # the first message has room before anything was pumped
         reporter = self._reporter = Reporter(self._emit)
@@ -216,9 +218,9 @@ class Connection:
 
     async def _write(self) -> None:
         while (message := await self._outbox.get()) is not None:
-            # A client that reads nothing is cut off; nothing more could be said to it.
-            async with asyncio.timeout(SEND_TIMEOUT_S):
-                await self._websocket.send_text(message.text)
+            self._sending = self._loop.time()
+            await self._websocket.send_text(message.text)
+            self._sending = None
             self._watch.sent(message.arrived)
         assert self.session.close_code is not None
         async with asyncio.timeout(SEND_TIMEOUT_S):
@@ -228,6 +230,8 @@ class Connection:
         while True:
             await asyncio.sleep(TICK_S)
             now = self._loop.time()
+            if self._sending is not None and now - self._sending > SEND_TIMEOUT_S:
+                raise TimeoutError  # nothing more could be said to a client that reads nothing
             self.session.tick(now)
             self._check_key()
             self._worker.watch(now)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import pickle
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 
@@ -14,11 +12,13 @@ from service.api.worker_process import WorkerProcess
 from service.errors import WorkerLost
 from service.metrics import Metrics
 from service.streaming.work import Check, Failed, Outcome, Work
-from service.worker_link import HEADER, Setup, packed
+from service.worker_link import Setup, Unpacker, packed
 
 log = logging.getLogger(__name__)
 
 Done = Callable[[Outcome], None]
+Answer = tuple[int, Outcome, float]
+"""The work's number, what came of it, the seconds that it took"""
 
 ENOUGH = 4
 """Sessions of every worker from which on another one is started: it takes 150 MB and a second"""
@@ -37,6 +37,31 @@ class Waiting:
     """A look at the channels: it takes turns and may take long"""
 
 
+class _Channel(asyncio.Protocol):
+    """The service's end of a worker's socket.
+
+    Parameters
+    ----------
+    receive : callable
+        Called with every message.
+    """
+
+    def __init__(self, receive: Callable[[Answer], None]) -> None:
+        self._receive = receive
+        self._unpacker = Unpacker()
+        self.ended = asyncio.Event()
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes of the worker's."""
+        self._unpacker.add(data)
+        for message in self._unpacker.messages():
+            self._receive(message)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Note that the worker's end is closed, or ours."""
+        self.ended.set()
+
+
 class StreamWorker:
     """One worker process and the socket to it; used on the event loop alone."""
 
@@ -48,7 +73,7 @@ class StreamWorker:
         self._waiting: dict[int, Waiting] = {}
         self._process: WorkerProcess | None = None
         self._reading: asyncio.Task[None] | None = None
-        self._writer: asyncio.StreamWriter | None = None
+        self._transport: asyncio.Transport | None = None
         self._unsent: list[bytes] = []
         self._answered = 0.0
         self.sessions = 0
@@ -62,7 +87,7 @@ class StreamWorker:
         """Start the process; work may be submitted at once."""
         self._process = WorkerProcess("service.stream_worker")
         self._unsent.insert(0, packed(self._setup))
-        self._reading = self._loop.create_task(self._read(self._process))
+        self._reading = self._loop.create_task(self._attend(self._process))
 
     def submit(self, work: Work, done: Done | None = None) -> None:
         """Have work done; ``done`` is called with what came of it."""
@@ -74,10 +99,10 @@ class StreamWorker:
         if done is not None:
             self._waiting[number] = Waiting(done, self._loop.time(), isinstance(work, Check))
         message = packed((number, work))
-        if self._writer is None:
+        if self._transport is None:
             self._unsent.append(message)
         else:
-            self._writer.write(message)
+            self._transport.write(message)
 
     @property
     def pid(self) -> int | None:
@@ -95,29 +120,27 @@ class StreamWorker:
     async def stop(self) -> None:
         """End the process."""
         self.lost = True
-        if self._writer is not None:
+        if self._transport is not None:
             # Not close: that waits until all is sent, to a worker that waits until all is read.
-            self._writer.transport.abort()
+            self._transport.abort()
         if self._reading is not None:
             await asyncio.gather(self._reading, return_exceptions=True)
 
-    async def _read(self, process: WorkerProcess) -> None:
-        reader, self._writer = await asyncio.open_unix_connection(sock=process.connection)
-        self._writer.writelines(self._unsent)
+    async def _attend(self, process: WorkerProcess) -> None:
+        channel = _Channel(self._receive)
+        self._transport, _ = await self._loop.create_unix_connection(
+            lambda: channel, sock=process.connection
+        )
+        if self.lost:  # it was asked to end meanwhile
+            self._transport.abort()
+        self._transport.writelines(self._unsent)
         self._unsent.clear()
-        try:
-            while not self.lost:
-                (length,) = HEADER.unpack(await reader.readexactly(HEADER.size))
-                self._receive(*pickle.loads(await reader.readexactly(length)))
-        except (asyncio.IncompleteReadError, OSError):
-            self._lose()
-        finally:
-            self._writer.close()
-            with suppress(OSError):
-                await self._writer.wait_closed()
-            await asyncio.to_thread(process.end)
+        await channel.ended.wait()
+        self._lose()
+        await asyncio.to_thread(process.end)
 
-    def _receive(self, number: int, outcome: Outcome, seconds: float) -> None:
+    def _receive(self, answer: Answer) -> None:
+        number, outcome, seconds = answer
         self._answered = self._loop.time()
         if number == 0:
             self.ready.set()

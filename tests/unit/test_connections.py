@@ -1,0 +1,93 @@
+"""A stream's socket is read while few messages wait, and no further."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import uvicorn
+from uvicorn.server import ServerState
+from websockets.client import ClientProtocol
+from websockets.uri import parse_uri
+
+from service.connections import MESSAGES_HELD, StreamProtocol
+
+MESSAGES = [bytes([number]) for number in range(3 * MESSAGES_HELD)]
+
+
+class Socket(asyncio.Transport):
+    """A transport that remembers whether it is read, and what was written."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.reading = True
+        self.pauses = 0
+        self.written = b""
+
+    def pause_reading(self) -> None:
+        self.reading = False
+        self.pauses += 1
+
+    def resume_reading(self) -> None:
+        self.reading = True
+
+    def write(self, data: Any) -> None:
+        self.written += data
+
+    def close(self) -> None:
+        pass
+
+    def is_closing(self) -> bool:
+        return False
+
+
+async def conversation(held: bool) -> tuple[Socket, list[bytes], list[bool]]:
+    """What the application received of ``MESSAGES``, and whether each found the socket read."""
+    accepted, may_read, received = asyncio.Event(), asyncio.Event(), list[bytes]()
+    if not held:
+        may_read.set()
+
+    async def application(_scope: Any, receive: Any, send: Any) -> None:
+        await receive()
+        await send({"type": "websocket.accept"})
+        accepted.set()
+        await may_read.wait()
+        for _ in MESSAGES:
+            received.append((await receive())["bytes"])
+
+    config = uvicorn.Config(application, ws=StreamProtocol, lifespan="off", log_config=None)
+    config.load()
+    loop = asyncio.get_running_loop()
+    client, transport = ClientProtocol(parse_uri("ws://robot/")), Socket()
+    protocol = StreamProtocol(config, ServerState(), {}, loop)
+    protocol.connection_made(transport)
+    client.send_request(client.connect())
+    protocol.data_received(b"".join(client.data_to_send()))
+    (task,) = protocol.tasks
+    await accepted.wait()
+    client.receive_data(transport.written)
+    found = []
+    for message in MESSAGES:
+        found.append(transport.reading)
+        client.send_binary(message)
+        protocol.data_received(b"".join(client.data_to_send()))
+        for _ in range(0 if held else 3):  # the application's turns
+            await asyncio.sleep(0)
+    may_read.set()
+    await task
+    protocol.connection_lost(None)
+    return transport, received, found
+
+
+def test_an_application_that_keeps_up_is_never_paused_for() -> None:
+    transport, received, _ = asyncio.run(conversation(held=False))
+    assert received == MESSAGES
+    assert transport.pauses == 0
+
+
+def test_what_is_not_taken_stays_in_the_socket_and_then_comes_whole() -> None:
+    transport, received, found = asyncio.run(conversation(held=True))
+    assert found == [True] * MESSAGES_HELD + [False] * (len(MESSAGES) - MESSAGES_HELD)
+    assert received == MESSAGES
+    assert transport.pauses == 1
+    assert transport.reading
