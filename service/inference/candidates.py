@@ -93,7 +93,7 @@ def refine(field: Field, sources: Sequence[Finding]) -> FloatArray:
     (docs/training.md, "Where a source is").
     """
     attention = np.sqrt(field.attention)
-    pointing = np.stack([source.pointing for source in sources])  # (n, C)
+    pointing = np.array([source.pointing for source in sources])  # (n, C)
     elsewhere = pointing > ELSEWHERE_LEVEL
     of_others = elsewhere.sum(axis=0) > elsewhere
     weights = np.where(of_others, np.float32(0), attention)

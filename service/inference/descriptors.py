@@ -58,9 +58,8 @@ class Field:
     def in_bins(self, weights: FloatArray) -> FloatArray:
         """Sums (..., F) over each bin's cells of (..., C)."""
         count = len(self.block) // self.num_bins
-        sums: FloatArray = weights[..., ::count].copy()
-        for place in range(1, count):  # numpy sums over a short last axis slowly
-            sums += weights[..., place::count]
+        cells = weights.reshape(*weights.shape[:-1], self.num_bins, count)
+        sums: FloatArray = cells @ np.ones(count, dtype=np.float32)  # a short axis sums slowly
         return sums
 
     def around(self, index: int, reach: int) -> FloatArray:
@@ -99,9 +98,10 @@ class Finding:
 def describe(field: Field, findings: Sequence[Finding]) -> FloatArray:
     """(n, D) float32 of all findings of a window, in the order in which they were found."""
     total, of_block = np.float32(field.total), field.of_block
-    support = np.stack([found.support for found in findings]) / total  # (n, C)
-    pointing = np.stack([found.pointing for found in findings])
-    remaining = np.stack([found.remaining for found in findings])
+    # Of a list: stack takes three times as long.
+    support = np.array([found.support for found in findings]) / total  # (n, C)
+    pointing = np.array([found.pointing for found in findings])
+    remaining = np.array([found.remaining for found in findings])
     in_time = support @ of_block.T  # (n, K)
     in_bins = field.in_bins(support)  # (n, F)
     mass = in_time.sum(axis=1)
@@ -133,7 +133,7 @@ def describe(field: Field, findings: Sequence[Finding]) -> FloatArray:
 
 def _peak_shapes(findings: Sequence[Finding]) -> tuple[FloatArray, ...]:
     """Heights, spectra's means, second peaks against the first, falls over 10 degrees."""
-    fused = np.stack([found.fused for found in findings])
+    fused = np.array([found.fused for found in findings])
     rows, size = np.arange(len(findings)), fused.shape[1]
     index = np.array([found.index for found in findings])
     step = max(1, round(size / 36))
@@ -175,22 +175,20 @@ def _disagreement(
     """
     size = findings[0].fused.size
     reach = round(NEIGHBOURHOOD / (2 * np.pi) * size)
-    blocks = np.stack(
+    blocks = np.array(
         [
             each @ field.around(found.index, reach)
             for each, found in zip(attention.swapaxes(0, 1), findings, strict=True)
         ]
     )  # (n, K - 1, 2 reach + 1)
-    offset = (blocks.argmax(axis=2) - reach) * (36.0 / size)
-    mass = weight.sum(axis=1)
-    known = mass > 0
-    mean = (weight * offset).sum(axis=1) / np.where(known, mass, 1)
-    squares = (weight * np.square(offset - mean[:, None])).sum(axis=1)
-    spread = np.sqrt(squares / np.where(known, mass, 1))
+    offset = (blocks.argmax(axis=2) - reach) * np.float32(36.0 / size)
+    mass = np.maximum(weight.sum(axis=1), TINY)
+    mean = np.vecdot(weight, offset) / mass
+    offset -= mean[:, None]
+    spread = np.sqrt(np.vecdot(weight, np.square(offset)) / mass)
     steps = np.minimum(weight[:, 1:], weight[:, :-1])
-    moved = (steps * np.abs(np.diff(offset, axis=1))).sum(axis=1)
-    drift = moved / np.maximum(steps.sum(axis=1), 1e-9)
-    return np.where(known, spread, 0), np.where(known, drift, 0)
+    moved = np.vecdot(steps, np.abs(offset[:, 1:] - offset[:, :-1]))
+    return spread, moved / np.maximum(steps.sum(axis=1), 1e-9)
 
 
 def _spread(weights: FloatArray) -> FloatArray:
@@ -208,5 +206,5 @@ def _cosine(rows: FloatArray, reference: FloatArray) -> FloatArray:
 
 def _squares(rows: FloatArray) -> FloatArray:
     """(n,) sums of squares of (n, K)."""
-    squares: FloatArray = np.einsum("nk,nk->n", rows, rows)
+    squares: FloatArray = np.vecdot(rows, rows)
     return squares
