@@ -1,7 +1,8 @@
 """Cost of one window and of one hop of a stream, by stage, beside pyroomacoustics.
 
 CPU time of this process after a warm-up. Absolute times tell of the machine, ratios of the program:
-every method takes the same windows, and a ratio is the median of the windows' ratios.
+every method takes the same windows, a few at a time in turns, since a machine's speed may change
+from one second to the next, and a ratio is the median of the windows' ratios.
 """
 
 from __future__ import annotations
@@ -32,12 +33,17 @@ WINDOW_SAMPLES = 16_640
 HOP_S = 0.1
 """Between the results of a stream"""
 WARM_UP = 5
+TURN = 5
+"""Windows that one method takes before it is the next one's turn; one more finds cold caches and
+does not count"""
 WHOLE_BAND = (0.0, 8000.0)
 """Hertz: 257 bins, all that the neural window uses, and a half more than speech needs"""
 RING_RADIUS = 0.1
 PEERS = ("NormMUSIC", "MUSIC", "SRP")
 
 Work = Callable[[FloatArray], object]
+Task = tuple[Callable[[Any], object], Sequence[Any]]
+"""Something to do and what to do it with, once each"""
 InputT = TypeVar("InputT")
 
 
@@ -104,7 +110,8 @@ def bench(bundle: Bundle, array: MicrophoneArray, repeats: int = 40, seed: int =
         "norm_music_speech": lambda window: speech.estimate(window[None], 2, 2),
         **dict(_peers(array)),
     }
-    timed = {name: _time(work, windows) for name, work in works.items()}
+    tasks: dict[str, Task] = {name: (work, windows) for name, work in works.items()}
+    timed = _in_turns({**tasks, "hop": _hops(bundle, array, windows)}, -(-repeats // (TURN + 1)))
     return BenchResult(
         array=array,
         neural=timed["neural"],
@@ -112,7 +119,7 @@ def bench(bundle: Bundle, array: MicrophoneArray, repeats: int = 40, seed: int =
         norm_music_speech=timed["norm_music_speech"],
         peers={name: timed[name] for name in PEERS if name in timed},
         peer_speech=timed.get("NormMUSIC, speech"),
-        hop=_time_hops(bundle, array, windows),
+        hop=timed["hop"],
         stages={
             name: _time(work, inputs)
             for name, work, inputs in window_stages(bundle, array, windows)
@@ -154,12 +161,12 @@ def _peers(array: MicrophoneArray) -> Iterator[tuple[str, Work]]:
         yield name, partial(locate, doa, band)
 
 
-def _time_hops(bundle: Bundle, array: MicrophoneArray, windows: Sequence[FloatArray]) -> Timing:
+def _hops(bundle: Bundle, array: MicrophoneArray, windows: Sequence[FloatArray]) -> Task:
     """Steps of a stream of the windows' audio, each 100 ms."""
     pipeline = bench_pipeline(bundle, array)
     output = OutputOptions(interval_ms=round(1000 * HOP_S))
     pieces = bench_pieces(np.concatenate(windows, axis=1))
-    return _time(lambda piece: pipeline.step([piece], output), pieces)
+    return lambda piece: pipeline.step([piece], output), pieces
 
 
 def bench_pipeline(bundle: Bundle, array: MicrophoneArray) -> StreamPipeline:
@@ -176,6 +183,20 @@ def bench_pieces(audio: FloatArray) -> list[Piece]:
     pcm = np.clip(32768 * audio.T, -32768, 32767).astype("<i2")
     starts = range(0, len(pcm) - hop + 1, hop)
     return [Piece(start, pcm[start : start + hop].tobytes(), 0.0, None) for start in starts]
+
+
+def _in_turns(tasks: Mapping[str, Task], turns: int) -> dict[str, Timing]:
+    """Every task on all of its inputs, a share of them each time that it is its turn."""
+    spent: dict[str, list[float]] = {name: [] for name in tasks}
+    for work, inputs in tasks.values():
+        for each in inputs[:WARM_UP]:
+            work(each)
+    for turn in range(turns):
+        for name, (work, inputs) in tasks.items():
+            begin, end = (k * len(inputs) // turns for k in (turn, turn + 1))
+            times = [cpu_ms(partial(work, each)) for each in inputs[begin:end]]
+            spent[name] += times[1:] or times
+    return {name: Timing(np.array(times)) for name, times in spent.items()}
 
 
 def _time(work: Callable[[InputT], object], inputs: Sequence[InputT]) -> Timing:
