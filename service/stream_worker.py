@@ -14,7 +14,7 @@ from service.memory import STREAMS_KEPT, give_back_memory, keep_freed_memory
 from service.settings import Settings
 from service.startup import warm_up
 from service.streaming.host import StreamHost
-from service.streaming.work import Check, Close, Outcome, Work
+from service.streaming.work import Check, Close, Work
 from service.worker_link import READY, Link, run_worker
 
 CHECK_DUTY = 0.03
@@ -24,9 +24,6 @@ streams of this worker, so with many streams they take turns"""
 TIDY_EVERY_S = 10.0
 """Seconds after which freed memory between the streams' arrays goes back to the system: what
 sessions keep lies among what steps free, and as much again would stay"""
-
-Done = tuple[int, Outcome | None, float]
-"""What goes back: the work's number, what came of it, the seconds that it took"""
 
 
 def work_until_end(link: Link, host: StreamHost) -> None:

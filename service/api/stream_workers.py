@@ -11,14 +11,12 @@ from itertools import count
 from service.api.worker_process import WorkerProcess
 from service.errors import WorkerLost
 from service.metrics import Metrics
-from service.streaming.work import Check, Failed, Outcome, Work
+from service.streaming.work import Answer, Check, Failed, Outcome, Work
 from service.worker_link import Setup, Unpacker, packed
 
 log = logging.getLogger(__name__)
 
 Done = Callable[[Outcome], None]
-Answer = tuple[int, Outcome, float]
-"""The work's number, what came of it, the seconds that it took"""
 
 ENOUGH = 4
 """Sessions of every worker from which on another one is started: it takes 150 MB and a second"""

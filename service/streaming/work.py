@@ -107,3 +107,6 @@ class Failed:
 
 
 Outcome = Opened | Advanced | Checked | Failed
+
+Answer = tuple[int, Outcome, float]
+"""What a worker sends back: the work's number, what came of it, the seconds that it took"""
