@@ -13,6 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from model_export.precision import training_precision
 from model_export.scenes import Scene
 from model_export.tasks import (
     STFT,
@@ -67,7 +68,7 @@ class DistilTask(WeightsTask):
         assert self._teacher is not None
         network = self.model.network
         features = batch["features"].transpose(2, 3).contiguous(memory_format=torch.channels_last)
-        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.model.training):
+        with training_precision(features, training=self.model.training):
             hidden = network.hidden(features)
             weights, attention = network.cells(hidden)
             share = network.direct_share(hidden)

@@ -170,7 +170,7 @@ def train(
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng([settings.seed, 2])
     rate = learning_rate(model, settings)
-    parameters = trained_parameters(model.task) if rate else []
+    parameters = trained_parameters(model.task, rate)
     groups: list[dict[str, Any]] = [{"params": parameters, "lr": rate}] if rate else []
     calibration = ArrayCalibration(array) if model.config.variant == "weights" else None
     if calibration is not None:
@@ -217,9 +217,14 @@ def learning_rate(model: TrainedModel, settings: FineTuning) -> float:
     return settings.learning_rate
 
 
-def trained_parameters(task: Task) -> list[nn.Parameter]:
-    """What fine-tuning changes; everything else no longer asks for gradients."""
+def trained_parameters(task: Task, rate: float) -> list[nn.Parameter]:
+    """What fine-tuning changes at a learning rate; everything else no longer asks for gradients.
+
+    At none nothing of the network does, which spares the larger part of every step.
+    """
     task.model.requires_grad_(False)
+    if not rate:
+        return []
     part = task.model.covariance if isinstance(task, RegressionTask) else task.model
     part.requires_grad_(True)
     return list(part.parameters())

@@ -26,6 +26,7 @@ from torch import Tensor, nn
 
 from model_export.config import TrainingConfig
 from model_export.networks import CovarianceNetwork, FrequencyAttentionFusion, SourceCountNetwork
+from model_export.precision import training_precision
 from model_export.scenes import Scene
 from model_export.sscl import SsclTask, load_encoder
 from model_export.subspace import delay_products, signal_power, signal_projector
@@ -78,8 +79,8 @@ class RegressionPipeline(nn.Module):
         num_sources : (B,) int
             The true counts in training (teacher forcing).
         """
-        # bfloat16 halves the convolutions' cost on a CPU; what follows needs its digits.
-        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.training):
+        # What follows needs float32's digits.
+        with training_precision(features, training=self.training):
             features = features.contiguous(memory_format=torch.channels_last)
             latent, logits = self.covariance.encoder(features), self.count(features)
         parts = self.covariance.regressor(latent.float())  # (B, F, 2, N, N)

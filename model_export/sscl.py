@@ -28,6 +28,7 @@ from torch import Tensor, nn
 from model_export.config import TrainingConfig
 from model_export.masking import draw_mask, masked_features
 from model_export.networks import LATENT, Encoder
+from model_export.precision import training_precision
 from model_export.scenes import Scene
 from model_export.tasks import STFT, Batch, Task
 from service.doa.array import MicrophoneArray
@@ -72,8 +73,8 @@ class SsclPipeline(nn.Module):
             Those of the microphone itself are not looked at.
         microphone : (B,) int
         """
-        # bfloat16 halves the convolutions' cost on a CPU; what follows needs its digits.
-        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.training):
+        # What follows needs float32's digits.
+        with training_precision(features, training=self.training):
             latent = self.encoder(features.contiguous(memory_format=torch.channels_last))
         coefficients = self.decoder(latent.float())  # (B, F, N, N)
         rows = coefficients[torch.arange(len(microphone)), :, microphone]  # (B, F, N)

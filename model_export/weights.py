@@ -13,6 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from model_export.config import Trunk
+from model_export.precision import training_precision
 from model_export.subspace import dominance, signal_power, signal_projector
 from service.doa.features import NUM_FEATURES
 from service.inference.weights import BLOCK_FRAMES, CELL_LOADING, kept_blocks
@@ -144,7 +145,7 @@ class Separable(nn.Module):
         return F.relu(hidden + self.norm(self._convolve(joined)))
 
     def _convolve(self, joined: Tensor) -> Tensor:
-        if not self.training:
+        if not (self.training and self.rows.weight.requires_grad):
             mixed: Tensor = self.mix(self.rows(joined))
             return mixed
         # The same as one dense convolution, of which a CPU computes gradients in half the time.
@@ -284,8 +285,8 @@ class WeightsPipeline(nn.Module):
             The bins of ``spectra`` among those of the features: in training a part of them says
             as much as all at half the price. By default all.
         """
-        # bfloat16 halves the convolutions' cost on a CPU; what follows needs its digits.
-        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.training):
+        # What follows needs float32's digits.
+        with training_precision(features, training=self.training):
             image = features.transpose(2, 3).contiguous(memory_format=torch.channels_last)
             hidden = self.network.hidden(image)
             share = self.network.direct_share(hidden)

@@ -10,6 +10,7 @@ from model_export.baselines.features import framed_spectra, gcc_phat, log_mel, m
 from model_export.baselines.heads import DirectionHead
 from model_export.baselines.method import Card
 from model_export.baselines.network import BaselineNetwork, Prediction, scaled
+from model_export.precision import training_precision
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 
@@ -107,7 +108,7 @@ class Crnn(BaselineNetwork):
     def forward(
         self, features: Tensor, array: MicrophoneArray, counts: Tensor | None = None
     ) -> Prediction:
-        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.training):
+        with training_precision(features, training=self.training):
             maps = self.scale(features).contiguous(memory_format=torch.channels_last)
             embedding = self.trunk(maps)
         prediction: Prediction = self.head(embedding)

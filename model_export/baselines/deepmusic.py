@@ -32,6 +32,7 @@ from model_export.baselines.network import (
     count_loss,
     scaled,
 )
+from model_export.precision import training_precision
 from model_export.regression import counted_projector
 from model_export.tasks import STFT
 from service.doa.array import MicrophoneArray
@@ -115,7 +116,7 @@ class DeepMusic(BaselineNetwork):
     def forward(
         self, features: Tensor, array: MicrophoneArray, counts: Tensor | None = None
     ) -> Prediction:
-        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.training):
+        with training_precision(features, training=self.training):
             images = features.contiguous(memory_format=torch.channels_last)
             embeddings = [region(images) for region in self.regions]
         embeddings = [embedding.float() for embedding in embeddings]

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import torch
 from torch import Tensor, nn
 
 from model_export.baselines.heads import DirectionHead
 from model_export.baselines.method import Card
 from model_export.baselines.network import BaselineNetwork, Prediction, scaled
+from model_export.precision import training_precision
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 
@@ -111,7 +111,7 @@ class Doanet(BaselineNetwork):
     def forward(
         self, features: Tensor, array: MicrophoneArray, counts: Tensor | None = None
     ) -> Prediction:
-        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.training):
+        with training_precision(features, training=self.training):
             embedding = self.trunk(features)
         prediction = self.head(embedding.float())
         return replace(prediction, vectors=tuple(xy.tanh() for xy in prediction.vectors))

@@ -18,6 +18,7 @@ from model_export.baselines.method import Card
 from model_export.baselines.music import LOG_FLOOR, array_products, music_spectrum
 from model_export.baselines.network import MAX_SOURCES, BaselineNetwork, Prediction, Truth
 from model_export.networks import NUM_FRAMES, FrequencyAttentionFusion, SourceCountNetwork
+from model_export.precision import training_precision
 from model_export.regression import counted_projector, subspace_distance
 from model_export.tasks import STFT
 from service.doa.array import MicrophoneArray
@@ -44,8 +45,7 @@ class MatchedNetwork(BaselineNetwork):
 
     def both(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """What the trunk gives and the count's logits, float32."""
-        # bfloat16 halves the convolutions' cost on a CPU.
-        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.training):
+        with training_precision(features, training=self.training):
             features = features.contiguous(memory_format=torch.channels_last)
             found, logits = self.trunk(features), self.count(features)
         return found.float(), logits.float()

@@ -11,6 +11,7 @@ from model_export.baselines.features import framed_spectra, log_level, unit_phas
 from model_export.baselines.heads import DirectionHead
 from model_export.baselines.method import Card
 from model_export.baselines.network import BaselineNetwork, Prediction
+from model_export.precision import training_precision
 from service.doa.array import MicrophoneArray
 from service.doa.features import LEVEL_SCALE
 from service.doa.types import FloatArray
@@ -126,7 +127,7 @@ class Transformer(BaselineNetwork):
     def forward(
         self, features: Tensor, array: MicrophoneArray, counts: Tensor | None = None
     ) -> Prediction:
-        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.training):
+        with training_precision(features, training=self.training):
             tokens = self.encoder(self.patches(features.flatten(0, 1)))
             each = tokens.unflatten(0, features.shape[:2])  # (B, N, 181, D)
             mixed = torch.einsum("bnpd,nd->bpd", each, self.mixture)
