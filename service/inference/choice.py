@@ -51,9 +51,8 @@ def choose_channels(
     )
 
 
-def check_num_sources(num_sources: int | None, array: MicrophoneArray) -> None:
-    """Raise TooManySources where the array cannot tell that many sources apart."""
-    microphones = array.num_microphones
+def check_num_sources(num_sources: int | None, microphones: int) -> None:
+    """Raise TooManySources where so many microphones cannot tell that many sources apart."""
     if num_sources is not None and num_sources >= microphones:
         raise TooManySources(
             f"num_sources is {num_sources}, but {microphones} microphones can tell apart "

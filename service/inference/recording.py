@@ -69,7 +69,7 @@ def localize_recording(
     """
     array = options.array
     channel_map = choose_channels(recording.channels, array, options.channel_map)
-    check_num_sources(options.num_sources, array)
+    check_num_sources(options.num_sources, array.num_microphones)
     method, bundle = choose_method(options.method, options.model, array, registry)
     stft = bundle.stft if bundle else Stft()
     localizer = (

@@ -46,7 +46,7 @@ def open_stream(work: Open, registry: BundleRegistry) -> tuple[StreamPipeline, O
     channels = choose_channels(
         start.audio.channels, array, start.channel_map or start.array.channel_map
     )
-    check_num_sources(start.output.num_sources, array)
+    check_num_sources(start.output.num_sources, array.num_microphones)
     model = None if start.model == DEFAULT_MODEL else start.model
     method, bundle = choose_method(start.method, model, array, registry)
     stft = bundle.stft if bundle else Stft()

@@ -110,7 +110,8 @@ class StreamPipeline:
             plan.method, plan.bundle, plan.array, plan.stft, noise
         )
         self._noise = noise
-        self._offset = self.stream_samples
+        # What a resampler still holds is lost; the time that it stands for is not.
+        self._offset = self._position / self._ratio
         self._samples = 0
         self._resampler = None
         if plan.audio.sample_rate != self._rate:

@@ -26,8 +26,10 @@ from service.errors import (
     NoiseStoreFull,
     SessionLimit,
     StreamTimeout,
+    TooManySources,
     UnknownNoise,
 )
+from service.inference.choice import check_num_sources
 from service.inference.noise_store import NoiseStore
 from service.protocol import MAX_MESSAGE_BYTES
 from service.protocol.client_messages import (
@@ -97,11 +99,15 @@ class Session:
         self._commands: deque[tuple[int, Command]] = deque()
         """With the sample frames received before each"""
         self._clock: StreamClock | None = None
+        self._microphones = 0
+        """Of the array, once it is known"""
         self._calibrate_s: float | None = None
         """To begin with the next audio"""
         self._working: Flush | Stop | Literal["opening", "audio"] | None = None
         """What the work under way is for"""
         self._check: Literal["due", "running"] | None = None
+        self._stopping = False
+        """A stop was asked for: what follows is not of this session"""
         self._draining = False
         self._began = self._heard = now
 
@@ -144,12 +150,11 @@ class Session:
 
     def drain(self) -> None:
         """End the session in order, since the service shuts down: what waits is localized first."""
+        self._draining = True
         if self.state == "running":
             assert self._intake is not None
-            self._commands.append((self._intake.received, Stop(type="stop")))
-            self._draining = True
+            self._append(self._intake, Stop(type="stop"))
         else:
-            self._draining = True
             self._end()
 
     def fail(self, error: DoaError) -> None:
@@ -196,7 +201,11 @@ class Session:
             command = self._commands.popleft()[1]
             if isinstance(command, Flush | Stop):
                 return self._advance(0, command)
-            self._apply(command)
+            try:
+                self._apply(command)
+            except TooManySources as error:
+                self.fail(error)
+                return None
         needed = self._clock.frames_needed(self.output.interval_ms)
         return self._advance(needed, "audio") if self._intake.buffer.frames >= needed else None
 
@@ -210,6 +219,7 @@ class Session:
         elif isinstance(outcome, Opened):
             assert self.start is not None
             self.state, self._clock = "running", outcome.clock
+            self._microphones = len(outcome.array.positions_m)
             self._report.ready(self.id, outcome, self.start, self._limits)
         elif isinstance(outcome, Advanced):
             self._advanced(outcome, purpose, now)
@@ -247,15 +257,21 @@ class Session:
                 f"{MAX_COMMANDS} control messages wait for the audio before them: send fewer"
             )
         else:
-            self._commands.append((self._intake.received, message))
+            self._append(self._intake, message)
+
+    def _append(self, intake: Intake, command: Command) -> None:
+        """Have a command done behind the audio before it."""
+        if not self._stopping:
+            self._commands.append((intake.received, command))
+            self._stopping = isinstance(command, Stop)
 
     def _audio(self, message: bytes, now: float) -> None:
         if self._intake is None or self.start is None:
             raise AudioBeforeStart(
                 "binary audio came before start: send the JSON message start first, as text"
             )
-        if self._commands and isinstance(self._commands[-1][1], Stop):
-            return  # what follows a stop is not of this session
+        if self._stopping:
+            return
         rate, before = self.start.audio.sample_rate, self._intake.received
         gap = self._intake.receive(message, now)
         if gap is not None:
@@ -327,6 +343,7 @@ class Session:
 
     def _apply(self, command: Update | Calibrate) -> None:
         if isinstance(command, Update):
+            check_num_sources(command.output.num_sources, self._microphones)
             changed = command.output.model_dump(exclude_unset=True)
             self.output = self.output.model_copy(update=changed)
         else:

@@ -174,6 +174,24 @@ def test_a_long_gap_begins_anew_and_time_goes_on(
     assert source["id"] > before["sources"][0]["id"]
 
 
+@pytest.mark.parametrize("rate", [16_000, 44_100, 48_000])
+def test_gaps_lose_no_time_at_any_rate(rate: int, new_session: NewSession) -> None:
+    """What the resampler holds when a gap comes is lost; the time it stands for is not."""
+    piece = pcm(0.01 * np.random.default_rng(1).standard_normal((4, rate // 50)))
+    driver = new_session()
+    audio = {"header": "seq_time", "sample_rate": rate}
+    driver.send(start(method="norm_music", audio=audio, overflow="block"))
+    behind = []
+    for index in range(8):  # half a second of sound, half a second of nothing
+        for number in range(50 * index, 50 * index + 25):
+            driver.audio(stamped(number, number * 20_000_000, piece), 50_000)
+        last = driver.all("result")[-1]
+        behind.append(index + 0.5 - last["t_end"])
+        assert last["capture_time_ns"] / 1e9 == pytest.approx(last["t_end"], abs=1e-3)
+    assert behind == pytest.approx([behind[0]] * 8, abs=0.011)  # results come every 100 ms
+    assert max(behind) < 0.15
+
+
 def test_an_idle_session_times_out_and_pings_keep_it(new_session: NewSession) -> None:
     driver = new_session(SessionLimits(idle_timeout_s=5))
     driver.send(CLASSICAL)
@@ -213,6 +231,42 @@ def test_draining_answers_for_what_came_before(new_session: NewSession) -> None:
     summary, closing = driver.messages[-2:]
     assert summary["type"] == "summary"
     assert (closing["code"], closing["close_code"]) == ("draining", 1012)
+
+
+@pytest.mark.parametrize("how", ["stop", "flush after it", "drain"])
+def test_what_comes_after_a_stop_is_not_of_the_session(how: str, new_session: NewSession) -> None:
+    driver = new_session(eager=False)
+    driver.send(CLASSICAL)
+    driver.work()
+    driver.audio(SECOND[: 8 * 4000])
+    if how == "drain":
+        driver.session.drain()
+    else:
+        driver.send({"type": "stop"})
+    if how == "flush after it":
+        driver.send({"type": "flush"})
+    while driver.session.state == "running":
+        work = driver.session.take_work()
+        assert work is not None
+        driver.audio(SECOND)  # while the last steps are under way
+        outcome = driver.host.perform(work)
+        assert outcome is not None
+        driver.session.work_done(outcome, driver.now)
+    assert driver.only("summary")["audio_s"] == 0.25
+    assert not driver.all("flushed")
+
+
+def test_an_update_is_held_to_the_array(new_session: NewSession) -> None:
+    driver = new_session()
+    pair = [[0.0, 0.05, 0.0], [0.0, -0.05, 0.0]]
+    driver.send(
+        start(method="music", audio={"channels": 2}, array={"positions_m": pair, "name": None})
+    )
+    driver.audio(SECOND[:16_000])
+    driver.send({"type": "update", "output": {"num_sources": 2}})
+    assert driver.last["code"] == "too_many_sources"
+    assert "2 microphones" in driver.last["detail"]
+    assert driver.session.close_code == driver.last["close_code"]
 
 
 def test_control_messages_that_wait_are_bounded(new_session: NewSession) -> None:
