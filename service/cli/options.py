@@ -46,7 +46,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--exclude",
         dest="exclude_deg",
         metavar="FROM:TO,...",
-        help="sectors in degrees in which nothing is reported",
+        help="sectors in degrees in which nothing is reported (--exclude=-30:30 around the front)",
     )
     parser.add_argument(
         "--noise",

@@ -21,6 +21,8 @@ UNREAD_LIVE = 64
 UNREAD_FILE = 10_000
 FILE_PING_TIMEOUT_S = 120.0
 """A service that takes a file as fast as it can reads pings late"""
+CLOSE_S = 0.5
+"""For the service's answer to a close"""
 
 Opened = tuple[ClientConnection, Ready]
 Failure = ServiceProblem | ServiceUnreachable
@@ -133,7 +135,7 @@ class Sessions:
             await asyncio.gather(sender, return_exceptions=True)
             self.outgoing.end()
             self.taken.set()
-            await websocket.close()
+            await _close(websocket)
         if websocket.close_code == 1000 and not isinstance(said, StreamError):
             return None
         return closed_by(websocket, said)
@@ -191,3 +193,11 @@ class Sessions:
     def _delay_s(self, attempt: int, error: Failure) -> float:
         asked = error.retry_after_s if isinstance(error, ServiceProblem) else None
         return self._options.backoff.delay_s(attempt, asked)
+
+
+async def _close(websocket: ClientConnection) -> None:
+    """Close a connection; results that still come are not waited for."""
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(CLOSE_S):
+            await websocket.close()
+    websocket.transport.abort()

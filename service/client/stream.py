@@ -50,6 +50,8 @@ class StreamClient:
         self._client = AsyncStreamClient(url, start, **options)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
+        self._calls = threading.Lock()
+        self._closed = False
 
     @property
     def ready(self) -> Ready:
@@ -113,9 +115,14 @@ class StreamClient:
     def close(self) -> None:
         """End the connection at once, without the last results; again does nothing."""
         loop, thread = self._loop, self._thread
-        if loop is None or thread is None or loop.is_closed():
+        if loop is None or thread is None:
             return
-        self._call(self._end())
+        with self._calls:  # a call that came later would wait for a loop that has stopped
+            if self._closed:
+                return
+            self._closed = True
+            ended = asyncio.run_coroutine_threadsafe(self._end(), loop)
+        ended.result()
         loop.call_soon_threadsafe(loop.stop)
         thread.join()
         loop.close()
@@ -173,8 +180,15 @@ class StreamClient:
         StreamClosed, StreamRefused, ServiceUnreachable
             After the last event, where the stream ended with an error.
         """
-        self._call(self._client.wait(timeout_s))
-        return self._client.take()  # here: a wait that is interrupted must not lose an event
+        event = self._client.take()
+        if event is None and not (self._client.ended or self._closed):
+            try:
+                self._call(self._client.wait(timeout_s))
+            except InvalidOption:
+                if not self._closed:
+                    raise
+            event = self._client.take()  # here: a wait that is interrupted must not lose an event
+        return event
 
     def received(self) -> list[StreamEvent]:
         """Everything that has come and was not read, without waiting."""
@@ -203,13 +217,15 @@ class StreamClient:
             _, hanging = await asyncio.wait(others, timeout=END_S)
             for task in hanging:
                 task.cancel()
+            await asyncio.gather(*hanging, return_exceptions=True)
 
     def _call(self, coroutine: Coroutine[Any, Any, T]) -> T:
         """Run in the thread's loop; an interrupted caller takes its call back."""
-        if self._loop is None or self._loop.is_closed():
-            coroutine.close()
-            raise InvalidOption(NOT_OPEN)
-        future = asyncio.run_coroutine_threadsafe(coroutine, self._loop)
+        with self._calls:
+            if self._loop is None or self._closed:
+                coroutine.close()
+                raise InvalidOption(NOT_OPEN)
+            future = asyncio.run_coroutine_threadsafe(coroutine, self._loop)
         try:
             return future.result()
         except BaseException:

@@ -210,6 +210,27 @@ def test_unread_results_are_bounded_and_the_newest_are_kept(service_of: ServiceO
     assert [e.seq for e in events if isinstance(e, Result)] == [96, 97, 98, 99, 100]
 
 
+def test_a_reader_in_another_thread_ends_with_the_stream(service_of: ServiceOf) -> None:
+    """Whatever it does when the stream is closed."""
+
+    def script(peer: Peer) -> None:
+        peer.begin()
+        for number in range(1, 200):
+            peer.say(result(number, 45.0))
+        peer.control()
+
+    for _ in range(10):
+        stream, read = StreamClient(service_of(script).url, **options()).open(), list[Any]()
+        reader = threading.Thread(target=lambda s=stream, r=read: r.extend(s), daemon=True)
+        reader.start()
+        while stream.latest is None:
+            threading.Event().wait(0.001)
+        stream.close()
+        reader.join(TIMEOUT_S)
+        assert not reader.is_alive()
+        assert isinstance(read[0], Ready)
+
+
 def test_a_stopped_stream_takes_no_more_audio(service_of: ServiceOf) -> None:
     with StreamClient(service_of(whole_session).url, **options()) as stream:
         stream.stop(TIMEOUT_S)
