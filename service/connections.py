@@ -90,11 +90,32 @@ class HttpProtocol(H11Protocol):
 
 
 class StreamProtocol(WebSocketsSansIOProtocol):
-    """uvicorn's WebSocket, whose socket is read on while few messages wait.
+    """uvicorn's WebSocket for clients that send much and are held back now and then.
 
     uvicorn stops reading with every message until the application has taken it, which are two
-    system calls: a tenth of what a robot's message costs.
+    system calls: a tenth of what a robot's message costs. This one reads on while few wait.
     """
+
+    _heard = 0.0
+    """When something came, by the loop's clock"""
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes of a client."""
+        self._heard = self.loop.time()
+        super().data_received(data)
+
+    def keepalive_timeout(self) -> None:
+        """Cut off a client that does not answer a ping; not one whose pong waits behind audio."""
+        if self.read_paused or self._heard > self.ping_sent_at:
+            self.ping_sent_at = self.loop.time()
+            self.pong_timer = self.loop.call_later(self.ping_timeout or 0, self.keepalive_timeout)
+        else:
+            super().keepalive_timeout()
+
+    def shutdown(self) -> None:
+        """End with the service; a client that has yet to read its last words answers the close."""
+        if not (self.close_sent and self.close_timer):
+            super().shutdown()
 
     def send_receive_event_to_app(self) -> None:
         """Queue a message that came."""

@@ -226,12 +226,15 @@ class StreamWorkers:
         WorkerLost
             If no such worker comes up; all is as before then.
         """
-        old = [worker for worker in self._workers if not worker.retired]
         worker = self._started(setup)
+        worker.retired = True  # takes no sessions before it is known to come up
         await worker.ready.wait()
         if worker.lost:
             raise WorkerLost("a worker process with the new models ended as it started")
         self.setup = setup
+        # Now, since streams that came meanwhile may have started further ones.
+        old = [each for each in self._workers if not each.retired]
+        worker.retired = False
         for each in old:
             each.retired = True
             if each.sessions == 0:

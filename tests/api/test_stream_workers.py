@@ -8,7 +8,7 @@ import signal
 
 from scripted_service import TIMEOUT_S
 
-from service.api.stream_workers import StreamWorker
+from service.api.stream_workers import ENOUGH, StreamWorker, StreamWorkers
 from service.metrics import Metrics
 from service.protocol.client_messages import ArrayChoice, AudioFormat, Start
 from service.settings import Settings
@@ -18,6 +18,30 @@ from service.worker_link import Setup
 
 MANY = 4000
 """Whose messages and answers fill the sockets in both directions"""
+
+
+def test_no_worker_keeps_the_models_that_a_reload_replaced() -> None:
+    """Streams that come while the first new worker starts may start old ones; these are left."""
+    settings = Settings()
+    files = load_registry(settings).files
+    before, after = Setup(settings, files), Setup(settings, files)
+
+    async def scenario() -> None:
+        workers = StreamWorkers(4, Metrics())
+        workers.setup = before
+        await workers.start()
+        held = [workers.assign() for _ in range(ENOUGH)]
+        reload = asyncio.create_task(workers.renew(after))
+        await asyncio.sleep(0)  # it has started its worker and waits
+        held += [workers.assign() for _ in range(ENOUGH + 1)]
+        assert len({worker.pid for worker in held}) == 3
+        async with asyncio.timeout(TIMEOUT_S):
+            await reload
+        assert all(worker.retired for worker in held)
+        assert not workers.assign().retired
+        await workers.stop()
+
+    asyncio.run(scenario())
 
 
 def test_a_worker_that_is_behind_ends_when_it_is_asked_to() -> None:

@@ -23,6 +23,7 @@ class Socket(asyncio.Transport):
         self.reading = True
         self.pauses = 0
         self.written = b""
+        self.closed = False
 
     def pause_reading(self) -> None:
         self.reading = False
@@ -35,10 +36,22 @@ class Socket(asyncio.Transport):
         self.written += data
 
     def close(self) -> None:
-        pass
+        self.closed = True
 
     def is_closing(self) -> bool:
         return False
+
+
+def opened(application: Any) -> tuple[StreamProtocol, Socket, ClientProtocol]:
+    """A connection in the running loop, and the client at its other end."""
+    config = uvicorn.Config(application, ws=StreamProtocol, lifespan="off", log_config=None)
+    config.load()
+    client, transport = ClientProtocol(parse_uri("ws://robot/")), Socket()
+    protocol = StreamProtocol(config, ServerState(), {}, asyncio.get_running_loop())
+    protocol.connection_made(transport)
+    client.send_request(client.connect())
+    protocol.data_received(b"".join(client.data_to_send()))
+    return protocol, transport, client
 
 
 async def conversation(held: bool) -> tuple[Socket, list[bytes], list[bool]]:
@@ -55,14 +68,7 @@ async def conversation(held: bool) -> tuple[Socket, list[bytes], list[bool]]:
         for _ in MESSAGES:
             received.append((await receive())["bytes"])
 
-    config = uvicorn.Config(application, ws=StreamProtocol, lifespan="off", log_config=None)
-    config.load()
-    loop = asyncio.get_running_loop()
-    client, transport = ClientProtocol(parse_uri("ws://robot/")), Socket()
-    protocol = StreamProtocol(config, ServerState(), {}, loop)
-    protocol.connection_made(transport)
-    client.send_request(client.connect())
-    protocol.data_received(b"".join(client.data_to_send()))
+    protocol, transport, client = opened(application)
     (task,) = protocol.tasks
     await accepted.wait()
     client.receive_data(transport.written)
@@ -91,3 +97,69 @@ def test_what_is_not_taken_stays_in_the_socket_and_then_comes_whole() -> None:
     assert received == MESSAGES
     assert transport.pauses == 1
     assert transport.reading
+
+
+async def cut_off_after_a_ping(*, says: bool, held_back: bool) -> bool:
+    """Whether a client is cut off that answers no ping, but may say something or be held back."""
+    over = asyncio.Event()
+
+    async def application(_scope: Any, receive: Any, send: Any) -> None:
+        await receive()
+        await send({"type": "websocket.accept"})
+        accepted.set()
+        await over.wait()
+
+    accepted = asyncio.Event()
+    protocol, transport, client = opened(application)
+    (task,) = protocol.tasks
+    await accepted.wait()
+    client.receive_data(transport.written)
+    protocol.stop_keepalive()
+    for message in MESSAGES if held_back else ():
+        client.send_binary(message)
+    protocol.data_received(b"".join(client.data_to_send()))
+    protocol.ping_sent_at = asyncio.get_running_loop().time()
+    if says:
+        client.send_binary(b"audio")
+        while asyncio.get_running_loop().time() <= protocol.ping_sent_at:
+            pass  # the clock's resolution
+        protocol.data_received(b"".join(client.data_to_send()))
+    protocol.keepalive_timeout()
+    closed = transport.closed
+    protocol.stop_keepalive()
+    over.set()
+    await task
+    protocol.connection_lost(None)
+    return closed
+
+
+def test_only_a_client_that_is_read_and_says_nothing_is_cut_off_for_its_pong() -> None:
+    assert asyncio.run(cut_off_after_a_ping(says=False, held_back=False))
+    assert not asyncio.run(cut_off_after_a_ping(says=True, held_back=False))
+    assert not asyncio.run(cut_off_after_a_ping(says=False, held_back=True))
+
+
+async def closed_by_shutdown(*, answers: bool) -> bool:
+    """Whether a connection that is being closed goes when the service ends, answered or not."""
+
+    async def application(_scope: Any, receive: Any, send: Any) -> None:
+        await receive()
+        await send({"type": "websocket.accept"})
+        await send({"type": "websocket.close", "code": 1012})
+
+    protocol, transport, client = opened(application)
+    (task,) = protocol.tasks
+    await task
+    protocol.shutdown()
+    if answers:
+        client.receive_data(transport.written)
+        protocol.data_received(b"".join(client.data_to_send()))
+    closed = transport.closed
+    protocol.connection_lost(None)
+    return closed
+
+
+def test_the_service_s_end_waits_for_the_answer_to_a_close() -> None:
+    """Closing the socket with audio unread would take the last words away again."""
+    assert not asyncio.run(closed_by_shutdown(answers=False))
+    assert asyncio.run(closed_by_shutdown(answers=True))
