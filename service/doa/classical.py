@@ -16,9 +16,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from service.doa.fusion import mean_fusion, normalise
+from service.doa.fusion import mean_fusion, normalised_fusion
 from service.doa.pair_products import PairProducts
-from service.doa.subspace import music_spectrum, signal_subspace
+from service.doa.projector import signal_projector
+from service.doa.subspace import music_spectrum, signal_subspace, spectrum_of_power
 from service.doa.types import ComplexArray, FloatArray
 
 
@@ -36,7 +37,7 @@ def music(
     steering : (F, N, A) complex64
     num_sources : int
     products : PairProducts, optional
-        Of the steering vectors: half of the time.
+        Of the steering vectors, for covariances (F, N, N): a third of the time.
 
     Returns
     -------
@@ -46,8 +47,7 @@ def music(
     ----------
     Schmidt, 1986.
     """
-    subspace = signal_subspace(covariance, num_sources)
-    return mean_fusion(music_spectrum(subspace, steering, products=products))
+    return mean_fusion(_music_spectrum(covariance, steering, num_sources, products))
 
 
 def norm_music(
@@ -63,8 +63,20 @@ def norm_music(
     Salvati, Drioli, Foresti, 2014, Incoherent frequency fusion for broadband steered response
     power algorithms in noisy environments.
     """
-    subspace = signal_subspace(covariance, num_sources)
-    return mean_fusion(normalise(music_spectrum(subspace, steering, products=products)))
+    return normalised_fusion(_music_spectrum(covariance, steering, num_sources, products))
+
+
+def _music_spectrum(
+    covariance: ComplexArray,
+    steering: ComplexArray,
+    num_sources: int,
+    products: PairProducts | None,
+) -> FloatArray:
+    """Every bin's spectrum (..., F, A)."""
+    if products is None:
+        return music_spectrum(signal_subspace(covariance, num_sources), steering)
+    projector = signal_projector(covariance, num_sources)
+    return spectrum_of_power(products.projector_power(projector, num_sources))
 
 
 def srp_phat(cross: ComplexArray, steering: ComplexArray) -> FloatArray:

@@ -42,6 +42,10 @@ class PairProducts:
         products: ComplexArray = vectors[self._first] * np.conj(vectors[self._second])
         return products
 
+    def projector_power(self, projector: ComplexArray, rank: int) -> FloatArray:
+        """||Us^H a||^2 / N (F, A) float32 of projectors Us Us^H (N, N, F) of this rank."""
+        return self.power(rank, projector[self._first, self._second][:, None])[:, 0]
+
     def power(self, trace: float, pairs: ComplexArray) -> FloatArray:
         """a^H P a / N of K matrices a bin.
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import numpy as np
 
 from service.doa.covariance import MOST_PLANES
-from service.doa.pair_products import PairProducts
 from service.doa.types import ComplexArray, FloatArray
 from service.errors import TooManySources
 
@@ -42,15 +41,19 @@ def signal_subspace(covariance: ComplexArray, num_sources: int) -> ComplexArray:
     TooManySources
         If ``num_sources`` is not between 1 and N - 1.
     """
-    microphones = covariance.shape[-1]
+    check_dimension(num_sources, covariance.shape[-1])
+    _, vectors = np.linalg.eigh(covariance)
+    subspace: ComplexArray = vectors[..., -num_sources:]
+    return subspace
+
+
+def check_dimension(num_sources: int, microphones: int) -> None:
+    """Raise TooManySources unless the signal subspace leaves a noise subspace."""
     if not 1 <= num_sources < microphones:
         raise TooManySources(
             f"num_sources is {num_sources}, but {microphones} microphones can tell apart 1 to "
             f"{microphones - 1} sources"
         )
-    _, vectors = np.linalg.eigh(covariance)
-    subspace: ComplexArray = vectors[..., -num_sources:]
-    return subspace
 
 
 def principal_eigenvector(covariance: ComplexArray) -> tuple[ComplexArray, FloatArray]:
@@ -78,7 +81,7 @@ def principal_eigenvector(covariance: ComplexArray) -> tuple[ComplexArray, Float
     planes = covariance.transpose(-2, -1, *axes)
     product = _matrix_product
     if microphones <= MOST_PLANES:
-        planes, product = np.ascontiguousarray(planes), _planes_product
+        planes, product = np.ascontiguousarray(planes), planes_product
     planes = planes.reshape(microphones, microphones, -1)
     trace = _trace(planes)
     power = planes * (1 / trace)  # multiplied: a complex array by a real one divides slowly
@@ -98,7 +101,7 @@ def principal_eigenvector(covariance: ComplexArray) -> tuple[ComplexArray, Float
     return vector.T.reshape(*shape, microphones), share.reshape(shape)
 
 
-def _planes_product(first: ComplexArray, second: ComplexArray) -> ComplexArray:
+def planes_product(first: ComplexArray, second: ComplexArray) -> ComplexArray:
     """Matrix products of (N, N, ...) and (N, M, ...), entry by entry over all matrices at once."""
     product: ComplexArray = first[:, 0, None] * second[None, 0]
     for k in range(1, len(first)):
@@ -156,31 +159,18 @@ def eigenvector_power(vectors: ComplexArray, steering: ComplexArray) -> FloatArr
     return power
 
 
-def signal_power(
-    subspace: ComplexArray, steering: ComplexArray, products: PairProducts | None = None
-) -> FloatArray:
+def signal_power(subspace: ComplexArray, steering: ComplexArray) -> FloatArray:
     """||Us^H a||^2 / N for every steering vector: 1 where a lies in the signal subspace.
 
     ``subspace`` (..., F, N, M) with orthonormal columns and ``steering`` (F, N, A) give
-    (..., F, A) float32 between 0 and 1; in half of the time with the steering vectors'
-    ``pair_products``.
+    (..., F, A) float32 between 0 and 1.
     """
-    power: FloatArray
-    if products is None:
-        power = eigenvector_power(subspace, steering).sum(axis=-2)
-        return power
-    *windows, bins, _, dimension = subspace.shape
-    vectors = np.moveaxis(subspace, (-2, -1), (0, 1))  # (N, M, ..., F)
-    projector = products.outer(vectors).sum(axis=1)
-    power = products.power(dimension, projector.reshape(len(projector), -1, bins))
-    return np.moveaxis(power, 0, 1).reshape(*windows, bins, -1)
+    power: FloatArray = eigenvector_power(subspace, steering).sum(axis=-2)
+    return power
 
 
 def music_spectrum(
-    subspace: ComplexArray,
-    steering: ComplexArray,
-    floor: float = DENOMINATOR_FLOOR,
-    products: PairProducts | None = None,
+    subspace: ComplexArray, steering: ComplexArray, floor: float = DENOMINATOR_FLOOR
 ) -> FloatArray:
     """MUSIC pseudo-spectrum per frequency bin, 1 / (1 - ||Us^H a||^2 / N + floor).
 
@@ -190,8 +180,6 @@ def music_spectrum(
     steering : (F, N, A) complex64
     floor : float
         Keeps the spectrum finite where a lies in the signal subspace; a larger one broadens peaks.
-    products : PairProducts, optional
-        Of the steering vectors.
 
     Returns
     -------
@@ -202,10 +190,13 @@ def music_spectrum(
     ----------
     Schmidt, 1986, Multiple emitter location and signal parameter estimation, eq. (6).
     """
-    # In place: fresh memory costs more than arithmetic.
-    spectrum = signal_power(subspace, steering, products)
-    np.subtract(1, spectrum, out=spectrum)
-    np.maximum(spectrum, 0, out=spectrum)
-    spectrum += np.float32(floor)
-    np.divide(1, spectrum, out=spectrum)
-    return spectrum
+    return spectrum_of_power(signal_power(subspace, steering), floor)
+
+
+def spectrum_of_power(power: FloatArray, floor: float = DENOMINATOR_FLOOR) -> FloatArray:
+    """``music_spectrum`` of what ``signal_power`` gives, in its place."""
+    # Fresh memory costs more than arithmetic.
+    np.subtract(1, power, out=power)
+    np.maximum(power, 0, out=power)
+    power += np.float32(floor)
+    return np.divide(1, power, out=power)
