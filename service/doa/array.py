@@ -41,21 +41,23 @@ class MicrophoneArray:
     ------
     InvalidGeometry
         If the positions are not 2 to 32 distinct finite points with an aperture between 1 cm
-        and 2 m.
+        and 2 m, or less than 1 cm of it is horizontal.
     """
 
     name: str
     positions: FloatArray
     source: str = ""
     linear: bool = field(init=False)
-    """True where all microphones lie on one line, so front and back cannot be told apart"""
+    """True where all microphones lie on one line as seen from above, in a vertical plane for example:
+    the two sides of it cannot be told apart then"""
 
     def __post_init__(self) -> None:
         positions = np.array(self.positions, dtype=np.float64)
         validate_positions(positions)
         positions.setflags(write=False)
         object.__setattr__(self, "positions", positions)
-        spread = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
+        horizontal = positions[:, :2] - positions[:, :2].mean(axis=0)
+        spread = np.linalg.svd(horizontal, compute_uv=False)
         object.__setattr__(self, "linear", bool(spread[1] < MIN_SPACING))
 
     @property
@@ -87,7 +89,7 @@ def pairwise_distances(positions: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    positions : (N, 3) float
+    positions : (N, D) float
 
     Returns
     -------
@@ -123,6 +125,13 @@ def validate_positions(positions: FloatArray) -> None:
         raise InvalidGeometry(
             f"the outermost microphones are {aperture * 1000:g} mm apart "
             f"(at least {MIN_APERTURE * 1000:g} mm): {_unit_hint(aperture)}"
+        )
+    horizontal = pairwise_distances(positions[:, :2]).max()
+    if 0 < aperture and horizontal < MIN_APERTURE - ROUNDING:
+        raise InvalidGeometry(
+            f"seen from above all microphones are within {horizontal * 1000:g} mm (at least "
+            f"{MIN_APERTURE * 1000:g} mm): no azimuth can be heard with microphones above each "
+            "other; z is up, so check the order of the coordinates"
         )
     first, second = np.unravel_index(
         np.argmin(distances + np.where(np.eye(count, dtype=bool), np.inf, 0.0)), distances.shape

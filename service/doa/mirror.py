@@ -1,8 +1,9 @@
 """The mirror images that arrays on one line cannot tell from the source.
 
 A line hears the angle to its axis alone: a source in front of it and its reflection behind it give
-the same signals. Only one half of the circle is searched then: the one towards +x, or towards +y
-for a line along x.
+the same signals. So does an array in a vertical plane of horizontal directions, or any that is a
+line as seen from above. Only one half of the circle is searched then: the one towards +x, or
+towards +y for a line along x.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ def into_searched_half(array: MicrophoneArray, azimuth: FloatArray) -> FloatArra
 
 def _normal(array: MicrophoneArray) -> float:
     """Azimuth of the direction square to the line on the searched side, radians."""
-    centred = array.positions - array.positions.mean(axis=0)
-    x, y, _ = np.linalg.svd(centred)[2][0]
+    horizontal = array.positions[:, :2] - array.positions[:, :2].mean(axis=0)
+    x, y = np.linalg.svd(horizontal)[2][0]
     normal = np.array([-y, x])
     if normal[0] < -1e-9 or (abs(normal[0]) <= 1e-9 and normal[1] < 0):
         normal = -normal

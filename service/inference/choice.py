@@ -97,8 +97,8 @@ def method_warnings(
         found.append(AudioWarning("no_model_for_array", detail))
     if array.linear:
         detail = (
-            "all microphones lie on one line: every direction has a mirror image behind the line, "
-            "which is left out"
+            "all microphones lie on one line, seen from above: every direction has a mirror image "
+            "behind the line, which is left out"
         )
         found.append(AudioWarning("front_back_ambiguous", detail))
     return found

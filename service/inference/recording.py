@@ -41,6 +41,9 @@ from service.inference.windows import Stretch, stretches, windows
 
 STRETCH_WINDOWS = 12
 """Windows that are computed at a time: more share little more and cost memory"""
+STRETCH_SAMPLES = STRETCH_WINDOWS * 16 * 16_384
+"""Of all these windows' channels: as many as of default windows of 16 microphones; longer windows,
+or those of more microphones, go fewer at a time, for memory's sake"""
 
 
 def localize_recording(
@@ -81,7 +84,9 @@ def localize_recording(
     blocks = _observed(recording.blocks(channel_map, stft.sample_rate), diagnostics)
     cut = windows(blocks, stft.sample_rate, options.window_s, options.hop_s, stft.n_fft - stft.hop)
     sizes: Counter[int] = Counter()
-    joined = _counted(stretches(cut, STRETCH_WINDOWS), sizes)
+    of_window = array.num_microphones * round(options.window_s * stft.sample_rate)
+    most = min(STRETCH_WINDOWS, max(1, STRETCH_SAMPLES // of_window))
+    joined = _counted(stretches(cut, most), sizes)
     estimated = in_order(partial(_estimate, localizer, options), joined, processes)
     results = PackedWindows(options.orientation, spectra=options.spectra)
     for window in identified(_placed(estimated, options, recording.duration, progress)):

@@ -25,6 +25,12 @@ def test_coincident_microphones_are_named() -> None:
         MicrophoneArray("custom", positions)
 
 
+def test_microphones_above_each_other_hear_no_azimuth() -> None:
+    mast = np.array([[0.001 * n, 0.0, 0.05 * n] for n in range(4)])
+    with pytest.raises(InvalidGeometry, match="seen from above.* 3 mm.* z is up"):
+        MicrophoneArray("custom", mast)
+
+
 @pytest.mark.parametrize("count", [0, 1, 33])
 def test_the_number_of_microphones_is_bounded(count: int) -> None:
     positions = np.zeros((count, 3))

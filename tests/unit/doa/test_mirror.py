@@ -15,14 +15,21 @@ from service.doa.steering import azimuth_grid, steering_vectors
 GRID = azimuth_grid()
 
 
-def line(azimuth_deg: float) -> MicrophoneArray:
+def line(azimuth_deg: float, height: float = 0.0) -> MicrophoneArray:
+    """Four microphones along an azimuth; with a height, every other one so many metres up."""
     direction = np.array([np.cos(np.deg2rad(azimuth_deg)), np.sin(np.deg2rad(azimuth_deg)), 0.0])
-    return MicrophoneArray("line", 0.04 * np.arange(4)[:, None] * direction)
+    positions = 0.04 * np.arange(4)[:, None] * direction
+    positions[::2, 2] += height
+    return MicrophoneArray("line", positions)
 
 
-@given(along=st.floats(0, 180), azimuth=st.floats(0, 6.28))
-def test_the_image_sounds_the_same_and_is_searched(along: float, azimuth: float) -> None:
-    array = line(along)
+@given(along=st.floats(0, 180), azimuth=st.floats(0, 6.28), height=st.sampled_from([0, 0.05]))
+def test_the_image_sounds_the_same_and_is_searched(
+    along: float, azimuth: float, height: float
+) -> None:
+    """Of a line, and of a panel in a vertical plane."""
+    array = line(along, height)
+    assert array.linear
     image = into_searched_half(array, np.array([azimuth]))
     pair = np.array([azimuth, float(image[0])])
     steering = steering_vectors(array.positions, np.array([500.0, 2000.0]), pair)

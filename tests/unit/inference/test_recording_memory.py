@@ -88,3 +88,23 @@ def growth(*, spectra: bool) -> float:
 
 def test_a_window_takes_its_few_numbers_and_a_spectrum_only_on_request() -> None:
     assert growth(spectra=False) < ALLOWED < SPECTRUM < growth(spectra=True)
+
+
+@pytest.mark.parametrize(
+    ("microphones", "window_s", "most"),
+    [(4, 1.024, 12), (16, 1.024, 12), (32, 1.024, 6), (4, 10.0, 4), (32, 10.0, 1)],
+)
+def test_large_windows_go_few_at_a_time(microphones: int, window_s: float, most: int) -> None:
+    """Twelve of ten seconds and 32 microphones would take more than two gigabytes."""
+    angles = np.arange(microphones) * (2 * np.pi / microphones)
+    ring = 0.1 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    file = io.BytesIO()
+    silence = np.zeros((round((window_s + 12 * 0.5) * RATE), microphones), np.int16)
+    soundfile.write(file, silence, RATE, format="WAV", subtype="PCM_16")
+    file.seek(0)
+    options = LocalizeOptions(
+        array=MicrophoneArray("ring", ring), method="norm_music", window_s=window_s, hop_s=0.5
+    )
+    with Recording.open(file) as recording:
+        result = localize_recording(recording, options, BundleRegistry([]))
+    assert max(result.stretches) == most
