@@ -55,6 +55,7 @@ class Server(uvicorn.Server):
             limit_untaken(listening)
         with suppress(NotImplementedError, ValueError, RuntimeError):  # no signals there
             asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, self._hang_up)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGHUP})
         if self._announce and self.started:
             host, port = self.servers[0].sockets[0].getsockname()[:2]
             self._announce(f"http://{f'[{host}]' if ':' in host else host}:{port}")
@@ -107,6 +108,9 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
     # uvicorn raises a signal again once it has drained, which would look like a failure; and the
     # first process of a container ignores SIGTERM until somebody handles it.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    if sys.platform != "win32":
+        # It would end the process: until somebody handles it, the system keeps it.
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
     app = create_app(settings, load_registry(settings))
     Server(server_config(app, settings), app.state.service, announce).run()
 

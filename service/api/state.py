@@ -103,6 +103,7 @@ class ServiceState:
 
     async def start_workers(self) -> None:
         """Start a worker of each kind, so that the first client does not wait for it."""
+        log.info("the models are loaded: %s", self.registry)
         await asyncio.gather(self.stream_workers.start(), self.recording_workers.start())
         give_back_memory()  # what loading and the self-test took
 
@@ -130,8 +131,7 @@ class ServiceState:
             self.registry = registry
             give_back_memory()
         self.metrics.reloaded(ok=True)
-        names = ", ".join(f"{b.manifest.name} {b.manifest.version}" for b in registry.bundles)
-        log.info("the models were reloaded: %s", names)
+        log.info("the models were reloaded: %s", registry)
         return registry
 
     async def _renew_workers(self, setup: Setup) -> None:

@@ -50,11 +50,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _folders() -> list[Path]:
     """The bundles that the service would load, the user's first."""
-    from service.inference.registry import EMBEDDED_MODELS, bundle_folders
+    from service.inference.registry import user_and_embedded
     from service.settings import load_settings
 
-    places = (*load_settings().models, EMBEDDED_MODELS)
-    return [folder for place in places for folder in bundle_folders(place)]
+    found, embedded = user_and_embedded(load_settings().models)
+    return [*found, *embedded]
 
 
 def _find(argument: str) -> Path:

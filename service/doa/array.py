@@ -48,8 +48,8 @@ class MicrophoneArray:
     positions: FloatArray
     source: str = ""
     linear: bool = field(init=False)
-    """True where all microphones lie on one line as seen from above, in a vertical plane for example:
-    the two sides of it cannot be told apart then"""
+    """True where all microphones lie on one line as seen from above, as those of a vertical plane
+    do: its two sides cannot be told apart"""
 
     def __post_init__(self) -> None:
         positions = np.array(self.positions, dtype=np.float64)
@@ -127,7 +127,7 @@ def validate_positions(positions: FloatArray) -> None:
             f"(at least {MIN_APERTURE * 1000:g} mm): {_unit_hint(aperture)}"
         )
     horizontal = pairwise_distances(positions[:, :2]).max()
-    if 0 < aperture and horizontal < MIN_APERTURE - ROUNDING:
+    if aperture > 0 and horizontal < MIN_APERTURE - ROUNDING:
         raise InvalidGeometry(
             f"seen from above all microphones are within {horizontal * 1000:g} mm (at least "
             f"{MIN_APERTURE * 1000:g} mm): no azimuth can be heard with microphones above each "

@@ -8,8 +8,21 @@ from pathlib import Path
 import numpy as np
 
 from service.doa.array import MicrophoneArray
-from service.errors import BundleCorrupt, GeometryMismatch, SelfTestFailed, UnknownModel
-from service.inference.bundle import MANIFEST, Bundle, BundleFiles, load_bundle, open_bundle
+from service.errors import (
+    BundleCorrupt,
+    BundleNotFound,
+    GeometryMismatch,
+    SelfTestFailed,
+    UnknownModel,
+)
+from service.inference.bundle import (
+    MANIFEST,
+    Bundle,
+    BundleFiles,
+    load_bundle,
+    open_bundle,
+    read_manifest,
+)
 from service.inference.localizer import localizer_of
 
 EMBEDDED_MODELS = Path(__file__).parent.parent / "models"
@@ -53,9 +66,7 @@ class BundleRegistry:
         UnknownModel
             If no bundle has the default's name.
         """
-        found = [path for folder in folders for path in bundle_folders(folder)]
-        taken = {path.name for path in found}
-        embedded = [path for path in bundle_folders(EMBEDDED_MODELS) if path.name not in taken]
+        found, embedded = user_and_embedded(folders)
         bundles = [load_bundle(folder, threads=threads) for folder in found]
         bundles += by_error([load_bundle(folder, threads=threads) for folder in embedded])
         for bundle in bundles:
@@ -75,6 +86,9 @@ class BundleRegistry:
     def files(self) -> tuple[BundleFiles, ...]:
         """All bundles as another process can open them, in the same order."""
         return tuple(bundle.files for bundle in self.bundles)
+
+    def __str__(self) -> str:
+        return ", ".join(f"{each.manifest.name} {each.manifest.version}" for each in self.bundles)
 
     def get(self, name: str) -> Bundle:
         """The bundle of this name, or UnknownModel."""
@@ -115,8 +129,27 @@ def by_error(bundles: Sequence[Bundle]) -> list[Bundle]:
     return [bundles[index] for index in order]
 
 
+def user_and_embedded(folders: Sequence[Path]) -> tuple[list[Path], list[Path]]:
+    """The folders of the user's bundles, and of the embedded ones that none of these hides.
+
+    Raises
+    ------
+    BundleError
+        If one of the places does not exist, or a manifest cannot be read.
+    """
+    found = [path for folder in folders for path in bundle_folders(folder)]
+    taken = {read_manifest(path)[0].name for path in found}
+    embedded = bundle_folders(EMBEDDED_MODELS)
+    return found, [path for path in embedded if read_manifest(path)[0].name not in taken]
+
+
 def bundle_folders(folder: Path) -> list[Path]:
-    """The folder itself if it is a bundle, else its subfolders that are."""
+    """The folder itself if it is a bundle, else its subfolders that are; or BundleNotFound."""
+    if not folder.is_dir():
+        raise BundleNotFound(
+            f"there is no folder {folder}: models are named by a bundle's folder, or by one with "
+            "bundles in it"
+        )
     if (folder / MANIFEST).is_file():
         return [folder]
     return sorted(path.parent for path in folder.glob(f"*/{MANIFEST}"))

@@ -111,6 +111,16 @@ def test_a_bad_bundle_leaves_the_old_one_serving(
     assert service.worker_pids == pids
 
 
+def test_a_folder_that_is_gone_leaves_the_old_models_serving(
+    service: RunningService, bundle: Path
+) -> None:
+    """A volume that is not mounted, say: the embedded models must not take over in silence."""
+    bundle.parent.rename(bundle.parent.with_name("elsewhere"))
+    refused = reload(service)
+    assert (refused.status_code, refused.json()["code"]) == (409, "reload_refused")
+    assert version(service.url) == "1.0.0"
+
+
 def test_a_folder_that_changes_without_a_reload_changes_nothing(
     service: RunningService, bundle: Path
 ) -> None:
@@ -144,6 +154,35 @@ def test_a_hang_up_signal_reloads(bundle: Path) -> None:
         finally:
             process.terminate()
     assert process.returncode in (0, -signal.SIGTERM)
+
+
+def test_a_hang_up_signal_during_the_start_is_not_lost(bundle: Path) -> None:
+    """It comes when the models have been read and nothing waits for signals yet."""
+    program = f"""
+import os, signal, sys
+from pathlib import Path
+import service.server
+from service.cli import main
+load = service.server.load_registry
+def loaded(settings):
+    registry = load(settings)
+    manifest = Path({str(bundle / "bundle.json")!r})
+    manifest.write_text(manifest.read_text().replace('"1.0.0"', '"2.0.0"'))
+    os.kill(os.getpid(), signal.SIGHUP)
+    return registry
+service.server.load_registry = loaded
+sys.exit(main(["serve", "--port", "0", "--workers", "1", "--models", {str(bundle.parent)!r}]))
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        url = process.stdout.readline().split()[-1]
+        try:
+            while version(url) != "2.0.0":
+                assert process.poll() is None
+        finally:
+            process.terminate()
 
 
 def test_a_stream_worker_that_stands_still_is_killed(

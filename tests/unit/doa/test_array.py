@@ -27,7 +27,7 @@ def test_coincident_microphones_are_named() -> None:
 
 def test_microphones_above_each_other_hear_no_azimuth() -> None:
     mast = np.array([[0.001 * n, 0.0, 0.05 * n] for n in range(4)])
-    with pytest.raises(InvalidGeometry, match="seen from above.* 3 mm.* z is up"):
+    with pytest.raises(InvalidGeometry, match=r"seen from above.* 3 mm.* z is up"):
         MicrophoneArray("custom", mast)
 
 

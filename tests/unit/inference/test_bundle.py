@@ -165,6 +165,22 @@ def test_of_the_embedded_bundles_the_one_with_the_smallest_error_answers(folder:
     assert by_error([]) == []
 
 
+def test_a_users_bundle_hides_the_embedded_one_of_its_name_wherever_it_lies(folder: Path) -> None:
+    edit(folder, lambda fields: fields.update(version="9.9.9"))
+    registry = BundleRegistry.load([folder.rename(folder.with_name("my-version"))])
+    assert str(registry) == f"any-array 9.9.9, paper {registry.get('paper').manifest.version}"
+    edit(folder.with_name("my-version"), lambda fields: fields.update(name="mine"))
+    own = folder.with_name("my-version").rename(folder.with_name("any-array"))
+    names = [bundle.manifest.name for bundle in BundleRegistry.load([own]).bundles]
+    assert names == ["mine", "any-array", "paper"]
+
+
+def test_a_folder_that_does_not_exist_is_an_error_and_an_empty_one_is_not(tmp_path: Path) -> None:
+    assert len(BundleRegistry.load([tmp_path]).bundles) == 2
+    with pytest.raises(BundleNotFound, match=r"no folder .*mistyped"):
+        BundleRegistry.load([tmp_path / "mistyped"])
+
+
 def test_two_bundles_of_one_name_are_refused(folder: Path) -> None:
     with pytest.raises(BundleCorrupt, match="any-array"):
         BundleRegistry([load_bundle(folder), load_bundle(folder)])
