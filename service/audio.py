@@ -18,6 +18,7 @@ import numpy as np
 import soundfile
 import soxr
 
+from service.containers import HEAD_BYTES, promised_bytes
 from service.doa.types import FloatArray
 from service.errors import (
     AudioTooLong,
@@ -222,8 +223,9 @@ def _open_sound(source: BinaryIO) -> soundfile.SoundFile:
 
 def _check_wav(source: BinaryIO, limits: AudioLimits) -> None:
     source.seek(0)
-    start = source.read(12)
-    if not is_wav(start):
+    start = source.read(HEAD_BYTES)
+    if not is_wav(start[:12]):
+        _check_size(source, promised_bytes(start))
         return
     header = read_wav_header(source)
     if header is None:
@@ -236,6 +238,15 @@ def _check_wav(source: BinaryIO, limits: AudioLimits) -> None:
         raise EmptyAudio(
             "the WAV header says that there is no audio: the recorder did not finish the file; "
             "stop it properly, or convert the file anew"
+        )
+
+
+def _check_size(source: BinaryIO, promised: int) -> None:
+    held = source.seek(0, SEEK_END)
+    if promised > held:
+        raise TruncatedAudio(
+            f"the header promises a file of {promised} bytes, but it has {held}: send the whole "
+            "file"
         )
 
 

@@ -80,8 +80,8 @@ def token_sha256(token: str) -> str:
     return hashlib.sha256(token.encode("utf-8", "surrogatepass")).hexdigest()
 
 
-def read_keys(path: Path) -> tuple[Key, ...]:
-    """The keys of a file.
+def read_keys(path: Path, *, empty: bool = False) -> tuple[Key, ...]:
+    """The keys of a file, which may hold none where ``empty``.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def read_keys(path: Path) -> tuple[Key, ...]:
         value, times = Counter(values).most_common(1)[0] if values else ("", 0)
         if times > 1:
             raise ConfigError(f"keys {path} has the {what} {value} twice: every key has its own")
-    if not keys:
+    if not (keys or empty):
         raise ConfigError(f"keys {path} holds no key, so nobody could ask anything: {HOW}")
     return tuple(keys)
 

@@ -153,7 +153,7 @@ def _refuse_unknown(environment: Mapping[str, str]) -> None:
         field = name.upper().removeprefix(PREFIX).lower()
         if name == KEY_VARIABLE:
             # It is read by clients on the same machine; a path in it is meant for `keys`.
-            if TOKEN.fullmatch(value) is None:
+            if value and TOKEN.fullmatch(value) is None:
                 raise ConfigError(
                     f"{KEY_VARIABLE} holds no key: it is a client's, as neuralmusic key new prints "
                     f"them; the service's file of keys is {variable('keys')}"

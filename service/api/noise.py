@@ -129,7 +129,7 @@ async def put_noise(request: Request, name: Name) -> NoiseAnswer:
     "/noise/{name}",
     summary="Delete a noise profile",
     status_code=HTTPStatus.NO_CONTENT,
-    responses=NOT_FOUND,
+    responses=NOT_FOUND | problem_responses(DiskFull),
 )
 async def delete_noise(request: Request, name: Name) -> None:
     """Forget a profile."""
@@ -137,6 +137,8 @@ async def delete_noise(request: Request, name: Name) -> None:
         await anyio.to_thread.run_sync(_store(request).delete, name)
     except UnknownNoise as error:
         raise HTTPException(HTTPStatus.NOT_FOUND) from error
+    except OSError as error:
+        raise DiskFull("the file of the profile cannot be deleted: try again later") from error
 
 
 def _store(request: Request) -> NoiseStore:

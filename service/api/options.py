@@ -236,8 +236,8 @@ def _check(values: dict[str, Any]) -> None:
     most = min(MAX_SOURCES, array.num_microphones - 1)
     if values.get("num_sources", 1) > most:
         raise TooManySources(
-            f"num_sources is {values['num_sources']}, but {array.num_microphones} microphones can "
-            f"tell apart at most {most}: ask for fewer, or leave num_sources out"
+            f"num_sources is {values['num_sources']}, but at most {most} are told apart with "
+            f"{array.num_microphones} microphones: ask for fewer, or leave num_sources out"
         )
     if values.get("max_sources", 1) > MAX_SOURCES:
         raise InvalidOption(f"max_sources must be at most {MAX_SOURCES}")

@@ -20,7 +20,8 @@ def check_origin(headers: Headers, allowed: Sequence[str]) -> None:
     check every page that somebody in the robot's network visits could use the robot's service.
     """
     origin = headers.get("origin")
-    if origin is None or "*" in allowed or origin in allowed:
+    # Browsers send no slash at the end; people write one.
+    if origin is None or "*" in allowed or origin in (each.rstrip("/") for each in allowed):
         return
     place = _place(origin)
     if place and place == headers.get("host"):

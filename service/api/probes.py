@@ -21,12 +21,14 @@ class StatusAnswer(Answer):
     status: Literal["ok"] = "ok"
 
 
+@router.head("/livez", include_in_schema=False)
 @router.get("/livez", summary="Is the process alive?")
 async def livez() -> StatusAnswer:
     """200 as long as the process answers."""
     return StatusAnswer()
 
 
+@router.head("/readyz", include_in_schema=False)
 @router.get(
     "/readyz",
     summary="Can requests be served?",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import BinaryIO
@@ -104,7 +105,8 @@ def _check_windows(duration: float, asked: LocalizeRequest) -> None:
     most = MAX_SPECTRUM_WINDOWS if asked.spectrum else MAX_WINDOWS
     if count > most:
         spectra = " with spectra" if asked.spectrum else ""
+        least = math.ceil(1000 * duration / (most - 1)) / 1000
         raise InvalidOption(
             f"{duration:.0f} s at hop_s={hop:g} are {count} windows, one answer has at most "
-            f"{most}{spectra}: take hop_s={duration / most:.2g} or more, or split the recording"
+            f"{most}{spectra}: take hop_s={least:g} or more, or split the recording"
         )

@@ -15,6 +15,9 @@ from service.batch.plan import Plan
 from service.batch.record import AGAIN, Record, error_code, key_of
 from service.errors import InvalidOption
 
+BEGINNING = b'{"path":'
+"""Of a record's line, which an interrupted run may not have finished"""
+
 
 class JsonLinesResult:
     """A file that grows by a line for every record; one run at a time writes it.
@@ -87,7 +90,7 @@ class JsonLinesResult:
         end = 0
         self._file.seek(0)
         for number, line in enumerate(self._file, 1):
-            if not line.endswith(b"\n"):
+            if not line.endswith(b"\n") and line.startswith(BEGINNING[: len(line)]):
                 break
             try:
                 record = from_json(line)

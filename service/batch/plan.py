@@ -51,7 +51,8 @@ class Plan:
         return cls(
             RecordingJob(asked, limits),
             dict(given),
-            Setup(settings, registry.files),
+            # As many recordings at a time as there are CPUs: each has one.
+            Setup(settings.model_copy(update={"threads": 1}), registry.files),
             method,
             bundle.identity if bundle else None,
         )

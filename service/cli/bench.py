@@ -7,6 +7,8 @@ import json
 import os
 from typing import TYPE_CHECKING, Any
 
+from service.errors import InvalidOption
+
 if TYPE_CHECKING:
     from service.bench import BenchResult, Timing
 
@@ -32,6 +34,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    for flag in ("threads", "repeats"):
+        if getattr(args, flag) < 1:
+            raise InvalidOption(f"--{flag} must be at least 1, but is {getattr(args, flag)}")
     # BLAS reads these when numpy is first imported, so nothing before may import it.
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(args.threads)))
     from service.bench import bench, bench_arrays

@@ -145,8 +145,13 @@ def choose_channels(
         return tuple(range(source.channels))
     raw = RAW_CHANNELS.get(array.name, {}).get(source.channels)
     if raw is None:
+        advice = (
+            "name their channels with --channel-map"
+            if source.channels > array.num_microphones
+            else "record all microphones as separate channels, or choose the array that was used"
+        )
         raise ChannelMismatch(
-            f"the {what} has {source.channels} channels, but {array.name} has "
-            f"{array.num_microphones} microphones: name their channels with --channel-map"
+            f"the {what} has {source.channels} channel{'s' if source.channels != 1 else ''}, but "
+            f"{array.name} has {array.num_microphones} microphones: {advice}"
         )
     return raw

@@ -71,7 +71,7 @@ def _new(args: argparse.Namespace) -> int:
         print(f"line:  {key.line}")
         return 0
     if args.file.exists() and args.file.stat().st_size:
-        if key.name in {known.name for known in read_keys(args.file)}:
+        if key.name in {known.name for known in read_keys(args.file, empty=True)}:
             raise InvalidOption(f"{args.file} has a key {key.name}: take another name")
         key_line = ("" if args.file.read_text().endswith("\n") else "\n") + key.line
     else:
@@ -124,6 +124,11 @@ def _midnight(text: str) -> datetime:
     return date if date.tzinfo else date.replace(tzinfo=UTC)
 
 
+def _expiry(expires: datetime) -> str:
+    passed = " (expired)" if expires <= datetime.now(UTC) else ""
+    return f"{expires.astimezone(UTC):%Y-%m-%d %H:%M} UTC{passed}"
+
+
 def _list(path: Path) -> int:
     from service.key_file import read_keys
 
@@ -135,7 +140,7 @@ def _list(path: Path) -> int:
             key.name,
             ", ".join(key.roles),
             *("" if limit is None else f"{limit:g}" for limit in limits),
-            f"{key.expires:%Y-%m-%d %H:%M}" if key.expires else "",
+            _expiry(key.expires) if key.expires else "",
             key.sha256[:8],
         )
     console.print(drawn)

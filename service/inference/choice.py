@@ -37,12 +37,16 @@ def choose_channels(
         return tuple(range(microphones))
     raw = RAW_CHANNELS.get(array.name, {}).get(channels)
     if raw:
+        listed = ",".join(map(str, raw))
         advice = (
             f"this device's {channels}-channel firmware has the raw microphones in channels "
-            f"{', '.join(map(str, raw))}: pass channel_map={','.join(map(str, raw))}"
+            f"{', '.join(map(str, raw))}: pass channel_map={listed} (--channel-map {listed})"
         )
     elif channels > microphones:
-        advice = f"pass channel_map with the {microphones} channels of the raw microphones"
+        advice = (
+            f"pass channel_map (--channel-map) with the {microphones} channels of the raw "
+            "microphones"
+        )
     else:
         advice = "record all microphones as separate channels, or choose the array that was used"
     raise ChannelMismatch(

@@ -112,12 +112,12 @@ class NoiseStore:
             return profiles[name]
 
     def delete(self, name: str) -> None:
-        """Forget a profile, or raise UnknownNoise."""
+        """Forget a profile, or raise UnknownNoise; OSError where its file stays, and so it does."""
         with self._lock:
             self._found(name)
-            self._loaded().pop(name)
             if self._folder is not None:
                 (self._folder / f"{name}{SUFFIX}").unlink(missing_ok=True)
+            self._loaded().pop(name)
 
     def _found(self, name: str) -> StoredNoise:
         """The profile of this name, or UnknownNoise; the lock is held."""

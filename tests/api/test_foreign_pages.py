@@ -35,7 +35,7 @@ REMOTE = {"server": ("192.168.1.5", 8000)}
 
 @pytest.fixture(scope="module")
 def client() -> TestClient:
-    settings = Settings(origins=("https://dash.example",))
+    settings = Settings(origins=("https://dash.example", "https://slash.example/"))
     return TestClient(create_app(settings, BundleRegistry(())))
 
 
@@ -66,7 +66,9 @@ def test_a_foreign_page_changes_nothing(
     assert (answer.status_code, answer.json()["code"]) == (403, "origin_refused")
 
 
-@pytest.mark.parametrize("origin", ["http://testserver", "https://dash.example", None])
+@pytest.mark.parametrize(
+    "origin", ["http://testserver", "https://dash.example", "https://slash.example", None]
+)
 def test_the_own_page_listed_ones_and_programs_may(origin: str | None, client: TestClient) -> None:
     headers = {"Origin": origin} if origin else {}
     answer = client.delete("/noise/none", headers=headers)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import signal
 import socket
 import sys
@@ -228,7 +229,7 @@ def silence(seconds: float) -> io.BytesIO:
 @pytest.mark.parametrize(
     ("seconds", "options", "says"),
     [
-        (1001, {"hop_s": 0.02}, "at most 50000: take hop_s=0.02 or more"),
+        (1001, {"hop_s": 0.02}, "at most 50000: take hop_s=0.021 or more"),
         (201, {"hop_s": 0.02, "spectrum": 1}, "at most 10000 with spectra"),
     ],
 )
@@ -239,6 +240,31 @@ def test_too_many_windows_are_refused_before_anything_is_decoded(
     with pytest.raises(InvalidOption, match=says):
         localize_file(job(**options), silence(seconds), BundleRegistry(()), reports.append)
     assert reports == []
+
+
+@pytest.mark.parametrize("seconds", [1001, 1100, 1500.5, 3600])
+def test_the_hop_that_is_advised_is_taken(seconds: float) -> None:
+    with pytest.raises(InvalidOption) as caught:
+        localize_file(job(hop_s=0.02), silence(seconds), BundleRegistry(()), lambda _: None)
+    advised = re.findall(r"hop_s=([0-9.]+) or more", caught.value.detail)[0]
+    reports: list[Any] = []
+    with suppress(Heard):
+        localize_file(job(hop_s=advised), silence(seconds), BundleRegistry(()), heard(reports))
+    assert reports == [Opened(seconds)]
+
+
+class Heard(Exception):
+    """Enough of it."""
+
+
+def heard(reports: list[Any]) -> Callable[[object], None]:
+    """Ends a recording's work with its first report."""
+
+    def report(each: object) -> None:
+        reports.append(each)
+        raise Heard
+
+    return report
 
 
 def test_a_recording_is_opened_before_it_is_decoded() -> None:

@@ -38,6 +38,13 @@ def test_the_service_is_alive_but_not_ready_before_its_models_are_loaded() -> No
         assert "retry-after" in response.headers
 
 
+@pytest.mark.parametrize("probe", ["/livez", "/readyz"])
+def test_probes_answer_to_head(probe: str) -> None:
+    with TestClient(small_app()) as client:
+        answer = client.head(probe)
+    assert (answer.status_code, answer.content) == (200, b"")
+
+
 def test_a_default_model_that_is_not_loaded_stops_the_start() -> None:
     app = create_app(Settings(default_model="nobody"))
     says = "default_model: no model is named 'nobody'"

@@ -183,6 +183,15 @@ NAN[12_000, 2], INF[8_000, 3] = np.nan, -np.inf
             "2147483392",
             id="2 GiB, but not by a pipe",
         ),
+        *(
+            pytest.param(
+                encoded(noise(), kind=kind)[:-999],
+                errors.TruncatedAudio,
+                "promises a file",
+                id=f"half a {kind}",
+            )
+            for kind in ("AIFF", "AU", "W64")
+        ),
         pytest.param(
             encoded(noise(), kind="RF64")[:-999], errors.TruncatedAudio, "whole", id="half an RF64"
         ),

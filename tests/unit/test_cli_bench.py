@@ -33,3 +33,9 @@ def test_it_says_what_every_stage_costs(
     ratios = said["times_faster_than_pyroomacoustics"]
     for ratio in ratios.values():
         assert 0 < ratio["p25"] <= ratio["median"] <= ratio["p75"]
+
+
+@pytest.mark.parametrize("flag", ["--repeats", "--threads"])
+def test_nothing_cannot_be_timed(flag: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", flag, "0"]) == 2
+    assert capsys.readouterr().err == f"error: {flag} must be at least 1, but is 0\n"

@@ -80,6 +80,26 @@ def test_what_is_wrong_is_one_sentence(argv: list[str], reason: str, capsys: Cap
     assert reason in refusal(capsys, "key", *argv)
 
 
+def test_a_file_of_comments_alone_gets_its_first_key(tmp_path: Path, capsys: Capture) -> None:
+    file = tmp_path / "keys.jsonl"
+    file.write_text("# our keys\n")
+    file.chmod(0o600)
+    code, _, _ = run(capsys, "key", "new", "robot", "--roles", "stream", "--file", str(file))
+    assert (code, [key.name for key in read_keys(file)]) == (0, ["robot"])
+
+
+def test_the_list_says_which_keys_have_expired_and_in_which_zone(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    file = str(tmp_path / "keys.jsonl")
+    for name, date in (("old", "2020-01-31"), ("new", "2200-01-31T05:00+05:00")):
+        run(capsys, "key", "new", name, "--roles", "stream", "--file", file, "--expires", date)
+    _, out, _ = run(capsys, "key", "list", file)
+    assert "2020-01-31 00:00 UTC (expired)" in out
+    assert "2200-01-31 00:00 UTC " in out
+    assert out.count("(expired)") == 1
+
+
 def test_a_name_is_given_once(tmp_path: Path, capsys: Capture) -> None:
     argv = ["key", "new", "r", "--roles", "stream", "--file", str(tmp_path / "k")]
     run(capsys, *argv)

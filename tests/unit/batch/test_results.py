@@ -80,6 +80,11 @@ def test_what_is_written_is_left_out(out: Path, plan: Plan, finish: bool) -> Non
     assert sorted(records(out)) == [(each.path, "not_audio") for each in (A, B, C)]
 
 
+def test_every_recording_has_one_cpu(plan: Plan) -> None:
+    """As many go on at a time as there are: each with helpers of its own would be their square."""
+    assert plan.setup.settings.threads == 1
+
+
 def test_a_file_that_changed_has_one_record_again(out: Path, plan: Plan) -> None:
     remaining(out, plan, A, B, then=[refused(A, plan), refused(B, plan)])
     newer = found("a.wav", modified_ms=2)
@@ -117,11 +122,12 @@ def test_other_options_are_another_result(out: Path, plan: Plan) -> None:
         KINDS[out.suffix](out, other)
 
 
-def test_a_file_of_somebody_else_is_left_alone(out: Path, plan: Plan) -> None:
-    out.write_bytes(b'{"my": "notes"}\n')
+@pytest.mark.parametrize("end", [b"\n", b""])
+def test_a_file_of_somebody_else_is_left_alone(out: Path, plan: Plan, end: bytes) -> None:
+    out.write_bytes(b'{"my": "notes"}' + end)
     with pytest.raises(InvalidOption, match="name another --out"):
         KINDS[out.suffix](out, plan)
-    assert out.read_bytes() == b'{"my": "notes"}\n'
+    assert out.read_bytes() == b'{"my": "notes"}' + end
 
 
 def test_a_table_of_somebody_else_is_left_alone(tmp_path: Path, plan: Plan) -> None:

@@ -225,6 +225,24 @@ def test_the_store_keeps_profiles_by_name_across_restarts(
         store.delete("arms")
 
 
+def test_a_profile_whose_file_stays_is_not_forgotten(
+    profile: NoiseCovariance, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = NoiseStore(tmp_path)
+    store.put("fans", profile)
+
+    def refused(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "unlink", refused)
+    with pytest.raises(PermissionError):
+        store.delete("fans")
+    assert store.get("fans").name == "fans"
+    monkeypatch.undo()
+    store.delete("fans")
+    assert NoiseStore(tmp_path).all() == []
+
+
 @pytest.mark.parametrize(
     "name",
     ["", ".", "..", "../fan", "a/b", "a\\b", ".hidden", "-rf", "a b", "fän", "x" * 65, "a\n"],
