@@ -109,10 +109,12 @@ def _parser() -> argparse.ArgumentParser:
     simulate = commands.add_parser("simulate", help="write simulated scenes with their metadata")
     simulate.add_argument("--out", type=Path, required=True)
     simulate.add_argument("--count", type=int, default=10)
-    simulate.add_argument("--sources", type=int, default=1)
+    simulate.add_argument("--sources", type=int, choices=range(1, 5), default=1)
     simulate.add_argument("--array", choices=sorted(PRESETS), default="respeaker-usb-4mic-v2")
     simulate.add_argument("--snr-db", type=float, default=30.0)
-    simulate.add_argument("--order", type=int, default=4, help="image order of the paper's room")
+    simulate.add_argument(
+        "--order", type=int, choices=range(11), default=4, help="image order of the paper's room"
+    )
     simulate.add_argument("--seed", type=int, default=0)
     simulate.add_argument("--speech-commands", type=Path, help="default: synthetic voices")
     simulate.set_defaults(run_command=_simulate)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from model_export.scenes import RoomBank
 from model_export.tasks import WeightsTask
 from model_export.train import load_run
 from service.doa.types import FloatArray
-from service.inference.bundle import read_manifest
+from service.inference.bundle import FILES, MANIFEST, OPTIONAL_FILES, read_manifest
 from service.inference.manifest import Manifest
 
 DESCRIPTIONS = {
@@ -45,8 +46,16 @@ def export_run(
     """Export the run's checkpoint as a bundle; a `weights` run gets its source count first.
 
     ``source_count`` is the folder of a bundle whose source count is taken instead: that of the
-    teacher, for a run that was taught to give the same candidates.
+    teacher, for a run that was taught to give the same candidates. ``out`` may hold a bundle, which
+    is replaced once the new one has passed its tests.
+
+    Raises
+    ------
+    ValueError
+        If ``out`` holds anything else, the run cannot be exported, or the exported networks do not
+        give what the trained ones do.
     """
+    check_replaceable(out)
     config, task, step = load_run(run)
     if config.variant == "sscl":
         raise ValueError(f"{run} only pretrains an encoder: train 'paper' from it and export that")
@@ -66,8 +75,8 @@ def export_run(
         "licences": list(licences),
     }
     if isinstance(task, RegressionTask):
-        shutil.rmtree(out, ignore_errors=True)
-        return export_regression(task, out, fields)
+        with in_the_place_of(out) as folder:
+            return export_regression(task, folder, fields)
     assert isinstance(task, WeightsTask)
     if source_count is not None:
         network = source_count_of(source_count)
@@ -78,8 +87,38 @@ def export_run(
         )
         training["counting_scenes"] = counting_scenes
         training["counting_validation"] = {key: round(value, 4) for key, value in scores.items()}
-    shutil.rmtree(out, ignore_errors=True)
-    return export_weights(task.model, network, out, fields)
+    with in_the_place_of(out) as folder:
+        return export_weights(task.model, network, folder, fields)
+
+
+def check_replaceable(out: Path) -> None:
+    """Raise ValueError unless a folder is missing, empty, or a bundle with nothing else in it."""
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise ValueError(f"{out} is no folder: name one for the bundle")
+    held = {path.name for path in out.iterdir()}
+    foreign = (
+        sorted(held - {MANIFEST, *FILES, *OPTIONAL_FILES}) if MANIFEST in held else sorted(held)
+    )
+    if foreign:
+        raise ValueError(
+            f"{out} holds {foreign[0]}, which is no part of a bundle and would be lost: name a new "
+            "folder"
+        )
+
+
+@contextmanager
+def in_the_place_of(out: Path) -> Iterator[Path]:
+    """A folder to write a bundle into, which replaces ``out`` if nothing is raised."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    # On the same file system, so that a bundle appears whole or not at all.
+    with tempfile.TemporaryDirectory(dir=out.parent, prefix=".export-") as folder:
+        unfinished = Path(folder) / "bundle"
+        yield unfinished
+        if out.exists():
+            shutil.rmtree(out)
+        unfinished.rename(out)
 
 
 def _count_sources(

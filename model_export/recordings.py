@@ -16,6 +16,7 @@ from service.cli.inputs import choose_channels, open_recording
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics import ChannelDiagnostics, Finding
 from service.doa.diagnostics.levels import decibels
+from service.doa.mirror import into_searched_half
 from service.doa.types import BoolArray, FloatArray, IntArray
 from service.errors import DoaError
 
@@ -109,7 +110,7 @@ def load_recording(
     _check_segments(found)
     warnings = _check_findings(diagnostics.findings(array))
     sounding, quiet = level_gate(audio)
-    windows = tuple(filter(_usable, (_windows(segment, sounding) for segment in found)))
+    windows = tuple(filter(_usable, (_windows(segment, sounding, array) for segment in found)))
     if not windows:
         raise ValueError("the labelled parts hold no sound: check the label's times")
     return LabelledRecording(path, audio, windows, _grains(quiet), warnings)
@@ -158,8 +159,10 @@ def _check_findings(findings: Sequence[Finding]) -> tuple[str, ...]:
     return tuple(finding.detail for finding in findings)
 
 
-def _windows(segment: Segment, sounding: BoolArray) -> LabelledWindows:
+def _windows(segment: Segment, sounding: BoolArray, array: MicrophoneArray) -> LabelledWindows:
     """The starts inside a segment from which enough of a window holds sound."""
+    # A line cannot tell where behind it somebody stood; what it is to answer is the image before.
+    azimuth = into_searched_half(array, np.array(segment.azimuth))
     first = int(np.ceil(segment.start * STFT.sample_rate))
     # The segment's end is the audio's or a label's: rounding must not lose the only window.
     last = round(segment.end * STFT.sample_rate) - WINDOW_SAMPLES
@@ -168,7 +171,7 @@ def _windows(segment: Segment, sounding: BoolArray) -> LabelledWindows:
     begin = starts // FRAME_SAMPLES
     end = np.minimum((starts + WINDOW_SAMPLES) // FRAME_SAMPLES, len(sounding))
     share = (total[end] - total[begin]) / np.maximum(end - begin, 1)
-    return LabelledWindows(np.array(segment.azimuth), starts[share >= MIN_SOUND], last)
+    return LabelledWindows(azimuth, starts[share >= MIN_SOUND], last)
 
 
 def _usable(windows: LabelledWindows) -> bool:

@@ -31,6 +31,10 @@ from service.doa.types import FloatArray
 VOICED_DB = 20.0
 
 
+MOST_TRIES = 100_000
+"""To place sources: four take a dozen"""
+
+
 @dataclass(frozen=True, slots=True)
 class Protocol:
     """What is fixed and what is drawn in a set of scenes."""
@@ -150,7 +154,7 @@ def _place(
     count = protocol.num_sources
     low = 0.1 - np.asarray(room.centre)
     high = np.asarray(room.size) - 0.1 - np.asarray(room.centre)
-    while True:
+    for _ in range(MOST_TRIES):
         if protocol.azimuths_deg is None:
             azimuth = rng.uniform(0, 2 * np.pi, count)
         else:
@@ -164,3 +168,7 @@ def _place(
             ((sources > low) & (sources < high)).all()
         ):
             return azimuth, distance
+    raise ValueError(
+        f"no places for {count} sources {protocol.min_separation_deg:g} degrees apart were found "
+        f"in a room of {' x '.join(f'{side:g}' for side in room.size)} m: ask for fewer"
+    )

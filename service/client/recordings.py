@@ -69,7 +69,8 @@ class LocalizationClient:
             alone, (N, 3) in metres.
         **options
             ``channel_map``, ``method``, ``model``, ``num_sources``, ``max_sources``, ``window_s``,
-            ``hop_s``, ``spectrum``; None is not sent.
+            ``hop_s``, ``yaw_deg``, ``exclude_deg`` (pairs of degrees), ``noise``, ``spectrum``;
+            None is not sent.
 
         Returns
         -------
@@ -199,6 +200,9 @@ def _form(file: BinaryIO, array: Any, options: Mapping[str, Any]) -> dict[str, A
     if not isinstance(array, str | Mapping):
         array = {"positions_m": array}
     given = {"array": array, **options}
+    sectors = given.get("exclude_deg")
+    if sectors is not None and not isinstance(sectors, str):
+        given["exclude_deg"] = ",".join(f"{first}:{last}" for first, last in sectors)
     fields = {name: _text(value) for name, value in given.items() if value is not None}
     return {"data": fields, "files": {"audio": ("recording", file, "application/octet-stream")}}
 

@@ -56,9 +56,20 @@ class MicrophoneArray:
         validate_positions(positions)
         positions.setflags(write=False)
         object.__setattr__(self, "positions", positions)
-        horizontal = positions[:, :2] - positions[:, :2].mean(axis=0)
-        spread = np.linalg.svd(horizontal, compute_uv=False)
+        spread = np.linalg.svd(self._from_above, compute_uv=False)
         object.__setattr__(self, "linear", bool(spread[1] < MIN_SPACING))
+
+    @property
+    def _from_above(self) -> FloatArray:
+        """(N, 2) x and y about their mean."""
+        horizontal: FloatArray = self.positions[:, :2] - self.positions[:, :2].mean(axis=0)
+        return horizontal
+
+    @property
+    def axis(self) -> FloatArray:
+        """(2,) unit vector in x and y along which the microphones spread most."""
+        axis: FloatArray = np.linalg.svd(self._from_above)[2][0]
+        return axis
 
     @property
     def num_microphones(self) -> int:

@@ -34,8 +34,7 @@ def into_searched_half(array: MicrophoneArray, azimuth: FloatArray) -> FloatArra
 
 def _normal(array: MicrophoneArray) -> float:
     """Azimuth of the direction square to the line on the searched side, radians."""
-    horizontal = array.positions[:, :2] - array.positions[:, :2].mean(axis=0)
-    x, y = np.linalg.svd(horizontal)[2][0]
+    x, y = array.axis
     normal = np.array([-y, x])
     if normal[0] < -1e-9 or (abs(normal[0]) <= 1e-9 and normal[1] < 0):
         normal = -normal

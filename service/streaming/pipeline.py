@@ -62,8 +62,8 @@ class Estimate(NamedTuple):
     spectrum: FloatArray
     """(A,)"""
     why_no_source: WhyNoSource | None
-    arrived: float
-    """When the last of its audio came, by the session's clock"""
+    arrived: float | None
+    """When the last of its audio came, by the session's clock; None before any did"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ class StreamPipeline:
         """Sample frames of the stream up to where it was taken in, missing ones included"""
         self._offset = 0.0
         """Samples of stream time that are missing before what was taken in"""
-        self._arrived = 0.0
+        self._arrived: float | None = None
         self._captured: tuple[int, int] | None = None
         """A position and its capture time"""
         self._reported = -1.0
@@ -223,12 +223,15 @@ class StreamPipeline:
         followed = self._tracker.update(found, t_end)
         # A track may coast into an excluded sector.
         tracks = [track for track in followed if not orientation.excludes(track.azimuth)]
+        # No more than are known to be there: of those, who is heard now before who may be back.
+        tracks.sort(key=lambda track: (not track.active, -track.confidence))
+        tracks = tracks[: output.num_sources or output.max_sources]
         tracks.sort(key=lambda track: -track.confidence)
         return Estimate(
             t_start=max(0.0, t_end - self.window_s),
             t_end=t_end,
             capture_time_ns=self._capture_time(end),
-            tracks=tuple(tracks[: output.max_sources]),
+            tracks=tuple(tracks),
             spectrum=estimate.spectrum,
             why_no_source=None if tracks else why,
             arrived=self._arrived,

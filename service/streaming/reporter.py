@@ -114,7 +114,8 @@ class Reporter:
 
     def result(self, estimate: Estimate, output: OutputOptions, now: float, *, final: bool) -> None:
         """Send one result in the format that was asked for."""
-        lag_ms = round(1000 * max(0.0, now - estimate.arrived), 1)
+        arrived = now if estimate.arrived is None else estimate.arrived
+        lag_ms = round(1000 * max(0.0, now - arrived), 1)
         orientation = Orientation.of_degrees(output.yaw_deg, output.exclude_deg)
         self.account.add(estimate, orientation, lag_ms)
         if output.format == "odas":

@@ -14,7 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.doa.array import SPEED_OF_SOUND, MicrophoneArray, pairwise_distances
+from service.doa.array import (
+    MIN_SPACING,
+    SPEED_OF_SOUND,
+    MicrophoneArray,
+    pairwise_distances,
+)
 from service.doa.diagnostics.finding import Finding
 from service.doa.stft import Stft
 from service.doa.types import BoolArray, ComplexArray, FloatArray
@@ -124,7 +129,7 @@ def size_findings(
     segments: Sequence[FloatArray], sample_rate: int, array: MicrophoneArray
 ) -> list[Finding]:
     """``array_scale`` where the array is clearly smaller than it is said to be."""
-    if not MIN_APERTURE <= array.aperture <= MAX_APERTURE:
+    if not MIN_APERTURE <= array.aperture <= MAX_APERTURE or _upright(array):
         return []
     fit = diffuse_fit(segments, sample_rate, array.positions)
     if fit is None or fit.scale > SMALLER or fit.gain < MIN_GAIN:
@@ -136,3 +141,9 @@ def size_findings(
         f"dry room"
     )
     return [Finding("array_scale", detail)]
+
+
+def _upright(array: MicrophoneArray) -> bool:
+    """Whether it is a panel in a vertical plane, which looks too large between walls that reflect
+    more than floor and ceiling do."""
+    return array.linear and bool(np.ptp(array.positions[:, 2]) > MIN_SPACING)

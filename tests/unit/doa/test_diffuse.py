@@ -51,6 +51,16 @@ def test_an_array_that_is_too_large_is_found_and_the_right_one_is_not() -> None:
     assert "about 0.7 times" in found.detail
 
 
+def test_of_an_upright_panel_nothing_is_said() -> None:
+    """Reflections come from the walls: its heights look smaller than they are."""
+    upright = SQUARE.positions[:, [2, 0, 1]]
+    squeezed = upright * [1, 1, 0.5]
+    segments = dying_away(squeezed)
+    assert size_findings(segments, RATE, MicrophoneArray("panel", upright)) == []
+    level = MicrophoneArray("level", upright[:, [1, 2, 0]])
+    assert size_findings(dying_away(squeezed[:, [1, 2, 0]]), RATE, level) != []
+
+
 def test_nothing_is_said_without_sound_that_dies_away() -> None:
     random = np.random.default_rng(2)
     steady = [(0.05 * random.standard_normal((4, 8000))).astype(np.float32) for _ in range(20)]

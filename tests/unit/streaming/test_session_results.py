@@ -62,6 +62,32 @@ def test_a_bound_model_streams_too(new_session: NewSession, speech: FloatArray) 
     assert off(azimuths(driver.all("result")[-1])[0], 70) < 15
 
 
+def test_no_more_talkers_are_reported_than_are_known_to_be_there(
+    new_session: NewSession, square: MicrophoneArray, plane_waves: Any
+) -> None:
+    """They take turns, so that both are followed at the same time."""
+    turns = [plane_waves(square, [a], seconds=0.8, seed=s) for s in range(3) for a in (70, 200)]
+    audio = pcm(np.concatenate(turns, axis=1))
+    most = []
+    for output in ({}, {"num_sources": 1}):
+        driver = new_session()
+        driver.send(start(output=output))
+        driver.audio(audio)
+        heard = [len(result["sources"]) for result in driver.all("result")]
+        assert sum(heard) > 30
+        most.append(max(heard))
+    assert most == [2, 1]
+
+
+def test_a_stream_without_audio_has_no_lag(new_session: NewSession) -> None:
+    driver = new_session()
+    driver.now = 45_000.0
+    driver.send(start())
+    driver.send({"type": "stop"})
+    assert driver.only("result")["lag_ms"] == 0
+    assert driver.only("result")["why_no_source"] == "warming_up"
+
+
 @settings(
     max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
