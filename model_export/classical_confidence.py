@@ -3,7 +3,8 @@
 The classical methods know how far a peak rises above their spectrum's mean, its contrast. A
 confidence is the chance that a source is within 10 degrees: a logistic curve in the contrast,
 fitted here on simulated windows, one for peaks that stand out and one for as many as were asked
-for. ``service/inference/classical.py`` holds the curves.
+for. Where a spectrum has no direction, as in a pause, the contrast tells nothing, and one number
+is as good as any curve. ``service/inference/classical.py`` holds them.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from model_export.simulate import Protocol, simulate_scene
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.types import BoolArray, FloatArray
-from service.inference.classical import ClassicalLocalizer
+from service.inference.classical import CHANCES, ClassicalLocalizer
 from service.inference.results import MAX_SOURCES, Method, WindowEstimate
 
 ARRAYS = ("respeaker-usb-4mic-v2", "respeaker-6mic-circular", "av163-circle8")
@@ -106,19 +107,21 @@ def main(argv: Sequence[str] | None = None) -> None:
             localizer = ClassicalLocalizer(method, window.array)
             (counted,) = localizer.estimate(window.audio[None], None, MAX_SOURCES)
             (told,) = localizer.estimate(window.audio[None], window.told, MAX_SOURCES)
-            # The highest peak always stands out where the spectrum has a direction.
-            directed = "in a spectrum with" if counted.sources else "in one without"
+            undirected = CHANCES[method].undirected in (each.confidence for each in told.sources)
+            directed = "without" if undirected else "with"
             for kind, estimate in (
                 ("counted", counted),
-                (f"asked for {directed} a direction", told),
+                (f"asked for in a spectrum {directed} a direction", told),
             ):
                 judgement = judged(estimate.sources, window.azimuth)
                 found.setdefault((method, kind), []).append((contrasts(estimate), judgement))
     for (method, kind), answers in found.items():
         contrast = np.concatenate([each for each, _ in answers])
         reports = [report for _, of_window in answers for report in of_window]
-        slope, middle = fitted(contrast, np.array([right for _, right in reports]))
-        print(f"{method}, {kind}: slope {slope:.2f}, middle {middle:.3f}")
+        right = np.array([right for _, right in reports])
+        slope, middle = fitted(contrast, right)
+        curve = f"slope {slope:.2f}, middle {middle:.3f}; all alike {right.mean():.2f}"
+        print(f"{method}, {kind}: {curve}")
         print(_table(reliability(reports, arguments.windows)))
 
 

@@ -142,8 +142,9 @@ OPTIONS: Mapping[str, Option] = {
         1,
         MAX_SOURCES,
         None,
-        "The known number of sources, below the number of microphones. It wins over "
-        "`max_sources`; without it the number is estimated for every window.",
+        "The known number of sources, those in excluded sectors included, below the number of "
+        "microphones. It wins over `max_sources`; without it the number is estimated for every "
+        "window.",
     ),
     "max_sources": integer(
         1, MAX_SOURCES, DEFAULT_MAX_SOURCES, "Most sources where the number is estimated."

@@ -45,3 +45,12 @@ def stream_url(url: str) -> str:
     """``ws(s)://host[:port][/prefix]/stream`` of the same forms."""
     scheme, rest = service_url(url).split("://", 1)
     return f"{_SOCKET[scheme]}://{rest}{STREAM_PATH}"
+
+
+def authorization(key: str | None) -> dict[str, str]:
+    """The header with a key, if there is one; InvalidOption where it cannot be one."""
+    if not key:
+        return {}
+    if not (key.strip().isascii() and key.strip().isprintable()):
+        raise InvalidOption("the key has characters that no key has: pass what was printed for it")
+    return {"Authorization": f"Bearer {key.strip()}"}

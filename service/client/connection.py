@@ -24,6 +24,7 @@ from websockets.exceptions import (
 )
 from websockets.typing import Subprotocol
 
+from service.client.addresses import authorization
 from service.client.errors import ServiceUnreachable, StreamClosed, StreamRefused
 from service.errors import InvalidMessage, InvalidOption
 from service.protocol import SUBPROTOCOL
@@ -109,7 +110,7 @@ async def open_connection(
         websocket = await connect(
             url,
             subprotocols=[Subprotocol(SUBPROTOCOL)],
-            additional_headers={"Authorization": f"Bearer {key}"} if key else None,
+            additional_headers=authorization(key),
             compression=None,
             open_timeout=timeouts.open_s,
             close_timeout=timeouts.close_s,

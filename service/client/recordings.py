@@ -18,7 +18,7 @@ from typing import Any, BinaryIO, Self
 import httpx2
 from pydantic_core import to_jsonable_python
 
-from service.client.addresses import service_url
+from service.client.addresses import authorization, service_url
 from service.client.connection import RETRYABLE_STATUS, read_retry_after
 from service.client.errors import ServiceProblem, ServiceUnreachable
 from service.errors import InvalidOption
@@ -178,7 +178,7 @@ class AsyncLocalizationClient:
 def _settings(url: str, key: str | None, timeout_s: float) -> dict[str, Any]:
     return {
         "base_url": url,
-        "headers": {"Authorization": f"Bearer {key}"} if key else {},
+        "headers": authorization(key),
         "timeout": httpx2.Timeout(timeout_s, connect=CONNECT_TIMEOUT_S),
     }
 

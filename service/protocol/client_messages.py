@@ -56,7 +56,7 @@ class OutputOptions(Message):
     max_sources: Annotated[int, Field(ge=1, le=4)] = 3
     """At most this many per result"""
     num_sources: Annotated[int, Field(ge=1, le=4)] | None = None
-    """The known number of sources; null lets the service count"""
+    """The known number of sources, excluded ones included; null lets the service count"""
     include: tuple[Include, ...] = ()
     """`spectrum` adds 360 values of the spatial spectrum to every result"""
     format: OutputFormat = "doa"

@@ -66,6 +66,17 @@ def test_geometry_and_options_are_sent_as_they_are_written(
     assert direction(answer) == pytest.approx(330, abs=3)
 
 
+@pytest.mark.parametrize("sectors", [[(50, 70)], [(300.5, 20), (50, 70)], "50:70"])
+def test_sectors_are_pairs_of_degrees(
+    url: str, wav: bytes, square: MicrophoneArray, sectors: Any
+) -> None:
+    with LocalizationClient(url) as client:
+        heard = client.localize(wav, array=square.name, yaw_deg=90, exclude_deg=sectors)
+        assert direction(heard) == pytest.approx(150, abs=3)
+        answer = client.localize(wav, array=square.name, exclude_deg=sectors)
+    assert answer["summary"]["sources"] == []
+
+
 def test_what_the_service_offers(url: str) -> None:
     with LocalizationClient(url) as client:
         assert [array["name"] for array in client.arrays()] == list(PRESETS)
@@ -130,9 +141,16 @@ def test_the_key_is_sent_as_a_header() -> None:
         return httpx2.Response(200, json={"sessions": []})
 
     transport = httpx2.MockTransport(answer)
-    with LocalizationClient("http://robot", key="secret", transport=transport) as client:
-        assert client.sessions() == []
-    assert seen == ["Bearer secret"]
+    for key in ("secret", "secret\n"):  # as a file holds it
+        with LocalizationClient("http://robot", key=key, transport=transport) as client:
+            assert client.sessions() == []
+    assert seen == ["Bearer secret"] * 2
+
+
+@pytest.mark.parametrize("key", ["schlüssel", "two\nlines"])
+def test_what_can_be_no_key_is_a_sentence(key: str) -> None:
+    with pytest.raises(InvalidOption, match="no key has"):
+        LocalizationClient("http://robot", key=key)
 
 
 def test_nobody_there_is_a_sentence(unused_tcp_port: int) -> None:
