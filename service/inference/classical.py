@@ -62,8 +62,8 @@ class Chances(NamedTuple):
 
 
 CHANCES: Mapping[str, Chances] = {
-    "norm_music": Chances(Curve(7.2, 0.15), Curve(4.0, 0.18), 0.33),
-    "music": Chances(Curve(4.7, 0.17), Curve(1.6, 0.13), 0.13),
+    "norm_music": Chances(Curve(7.2, 0.15), Curve(3.1, 0.21), 0.19),
+    "music": Chances(Curve(4.7, 0.17), Curve(1.4, 0.35), 0.03),
     "srp_phat": Chances(Curve(10.7, 0.27), Curve(5.4, 0.16), 0.19),
 }
 """Fitted to 1,800 simulated windows by ``python -m model_export.classical_confidence``"""
