@@ -104,10 +104,11 @@ def uniform_line(array: MicrophoneArray) -> Line:
     spacing = float(spacings.mean()) * horizontal
     # Off by more than this an ideal steering vector is no longer the array's.
     uniform = np.ptp(spacings) <= max(MIN_SPACING, 0.01 * spacings.mean())
-    if not array.linear or not uniform or spacing < MIN_SPACING:
+    straight = np.abs(centred - along[:, None] * direction).max() < MIN_SPACING
+    if not straight or not uniform:
         raise ValueError(
             f"Root-MUSIC cannot be used with array {array.name!r}: it needs microphones at equal "
-            "distances on one line that is not upright, such as x = 0, 0.04, 0.08 and 0.12 m"
+            "distances on one line, such as x = 0, 0.04, 0.08 and 0.12 m"
         )
     top = min(SPEED_OF_SOUND / (2 * spacing), SPEECH_BAND[1])
     searched = searched_half(array, azimuth_grid())

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from errno import ENOSPC
+from errno import EACCES, ENOSPC
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -120,6 +120,9 @@ def failing(place: str, error: Exception) -> State:
 BROKEN = failing("service.api.localize.read_options", ZeroDivisionError())
 DISK_FULL = failing(
     "service.inference.noise_store.NoiseStore.put", OSError(ENOSPC, "No space left on device")
+)
+UNDELETABLE = failing(
+    "service.inference.noise_store.NoiseStore.delete", PermissionError(EACCES, "Permission denied")
 )
 NO_BUNDLE = failing("service.api.state.load_registry", BundleNotFound("no such folder"))
 
@@ -255,6 +258,7 @@ REQUESTS: dict[tuple[str, str, int], Ask] = dict(refusals()) | {
     ("put", "/noise/{name}", 503): ask("PUT", "/noise/one", DISK_FULL, content=profile()),
     ("delete", "/noise/{name}", 204): named("DELETE"),
     ("delete", "/noise/{name}", 404): ask("DELETE", "/noise/none"),
+    ("delete", "/noise/{name}", 503): ask("DELETE", "/noise/one", UNDELETABLE),
     ("get", "/models", 200): ask("GET", "/models"),
     ("get", "/models", 503): ask("GET", "/models", not_ready),
     ("get", "/models/{name}", 200): ask("GET", "/models/any-array"),
