@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -126,8 +127,11 @@ def follow(stream: StreamClient, source: Source, show: Callable[[StreamEvent], N
     feeder = threading.Thread(target=feed, name="neuralmusic-feed")
     feeder.start()
     try:
-        for event in stream:
-            show(event)
+        with _interrupts() as interrupted:
+            for event in stream:
+                show(event)
+                if interrupted.is_set():
+                    raise KeyboardInterrupt
     except KeyboardInterrupt:
         stopping.set()
         with suppress(DoaError):
@@ -141,3 +145,25 @@ def follow(stream: StreamClient, source: Source, show: Callable[[StreamEvent], N
     if failures:
         raise failures[0]
     return 0
+
+
+@contextmanager
+def _interrupts() -> Iterator[threading.Event]:
+    """What Ctrl-C sets before it raises: an exception inside of a destructor would be lost."""
+    interrupted = threading.Event()
+
+    def note(*_: object) -> None:
+        interrupted.set()
+        raise KeyboardInterrupt
+
+    handled = (
+        threading.current_thread() is threading.main_thread()
+        and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    )
+    if handled:
+        signal.signal(signal.SIGINT, note)
+    try:
+        yield interrupted
+    finally:
+        if handled:
+            signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -159,8 +159,17 @@ def test_calibration_comes_before_the_audio(
     assert run(capsys, *argv)[0] == 0
 
 
+class Interrupting:
+    """Ctrl-C while it is destroyed: Python prints what is raised there and goes on."""
+
+    def __del__(self) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("interrupt", [lambda: signal.raise_signal(signal.SIGINT), Interrupting])
 def test_an_interrupted_stream_is_stopped_in_order(
-    service_of: Callable[..., ScriptedService], talk_wav: str
+    service_of: Callable[..., ScriptedService], talk_wav: str, interrupt: Callable[[], object]
 ) -> None:
     def script(peer: Peer) -> None:
         peer.begin()
@@ -173,7 +182,7 @@ def test_an_interrupted_stream_is_stopped_in_order(
     def show(event: Any) -> None:
         shown.append(event)
         if event == result(1, 45.0):
-            raise KeyboardInterrupt
+            interrupt()
 
     source = FileSource(Path(talk_wav), realtime=True)
     with StreamClient(service_of(script).url, array="square", audio=source.audio) as stream:
