@@ -32,7 +32,6 @@ from service.inference.classical import CHANCES, ClassicalLocalizer
 from service.inference.results import MAX_SOURCES, Method, WindowEstimate
 
 ARRAYS = ("respeaker-usb-4mic-v2", "respeaker-6mic-circular", "av163-circle8")
-CLASSICAL: tuple[Method, ...] = ("norm_music", "music", "srp_phat")
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,11 +102,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     speech = load(speech_commands(arguments.speech, "development"))
     found: dict[tuple[Method, str], list[tuple[FloatArray, Reports]]] = {}
     for window in windows(speech, arguments.windows, arguments.seed):
-        for method in CLASSICAL:
+        for method, chances in CHANCES.items():
             localizer = ClassicalLocalizer(method, window.array)
             (counted,) = localizer.estimate(window.audio[None], None, MAX_SOURCES)
             (told,) = localizer.estimate(window.audio[None], window.told, MAX_SOURCES)
-            undirected = CHANCES[method].undirected in (each.confidence for each in told.sources)
+            undirected = chances.undirected in (each.confidence for each in told.sources)
             directed = "without" if undirected else "with"
             for kind, estimate in (
                 ("counted", counted),

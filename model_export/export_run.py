@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from model_export.bundle_place import check_replaceable, in_the_place_of
 from model_export.counting import CandidateCountNetwork, collect, train_counting
 from model_export.export import digest
 from model_export.export_regression import export_regression
@@ -19,7 +18,7 @@ from model_export.scenes import RoomBank
 from model_export.tasks import WeightsTask
 from model_export.train import load_run
 from service.doa.types import FloatArray
-from service.inference.bundle import FILES, MANIFEST, OPTIONAL_FILES, read_manifest
+from service.inference.bundle import read_manifest
 from service.inference.manifest import Manifest
 
 DESCRIPTIONS = {
@@ -89,36 +88,6 @@ def export_run(
         training["counting_validation"] = {key: round(value, 4) for key, value in scores.items()}
     with in_the_place_of(out) as folder:
         return export_weights(task.model, network, folder, fields)
-
-
-def check_replaceable(out: Path) -> None:
-    """Raise ValueError unless a folder is missing, empty, or a bundle with nothing else in it."""
-    if not out.exists():
-        return
-    if not out.is_dir():
-        raise ValueError(f"{out} is no folder: name one for the bundle")
-    held = {path.name for path in out.iterdir()}
-    foreign = (
-        sorted(held - {MANIFEST, *FILES, *OPTIONAL_FILES}) if MANIFEST in held else sorted(held)
-    )
-    if foreign:
-        raise ValueError(
-            f"{out} holds {foreign[0]}, which is no part of a bundle and would be lost: name a new "
-            "folder"
-        )
-
-
-@contextmanager
-def in_the_place_of(out: Path) -> Iterator[Path]:
-    """A folder to write a bundle into, which replaces ``out`` if nothing is raised."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    # On the same file system, so that a bundle appears whole or not at all.
-    with tempfile.TemporaryDirectory(dir=out.parent, prefix=".export-") as folder:
-        unfinished = Path(folder) / "bundle"
-        yield unfinished
-        if out.exists():
-            shutil.rmtree(out)
-        unfinished.rename(out)
 
 
 def _count_sources(

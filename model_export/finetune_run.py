@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from model_export.bundle_place import in_the_place_of
 from model_export.finetune import ARRAY, FineTuning, Outcome, finetune
 from model_export.recordings import LabelledRecording, load_recordings
 from model_export.scenes import RoomBank
@@ -62,10 +62,7 @@ def finetune_run(
     for recording in [*labelled, *tests]:
         for warning in recording.warnings:
             line(console, f"{recording.path.name}: {warning}", "yellow")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    # On the same file system, so that a bundle appears whole or not at all.
-    with tempfile.TemporaryDirectory(dir=out.parent, prefix=".finetune-") as folder:
-        unfinished = Path(folder) / "bundle"
+    with in_the_place_of(out) as unfinished:
         outcome = finetune(
             start,
             labelled,
@@ -83,7 +80,6 @@ def finetune_run(
                 "the held-out recordings are localized no better than before, so nothing was "
                 f"written: keep {start.manifest.name}, record more, or insist with --force"
             )
-        unfinished.rename(out)
     line(console, f"wrote {out}", "bold")
     if (out / ARRAY).exists():
         line(console, _moved(array, outcome.array, out / ARRAY))

@@ -84,7 +84,7 @@ class Recording:
         limits = limits or AudioLimits()
         with ExitStack() as stack:
             source = stack.enter_context(file.open("rb")) if isinstance(file, Path) else file
-            _check_wav(source, limits)
+            _check_header(source, limits)
             source.seek(0)
             sound = stack.enter_context(_open_sound(source))
             _check_format(sound.channels, sound.samplerate, limits)
@@ -221,10 +221,10 @@ def _open_sound(source: BinaryIO) -> soundfile.SoundFile:
         ) from error
 
 
-def _check_wav(source: BinaryIO, limits: AudioLimits) -> None:
+def _check_header(source: BinaryIO, limits: AudioLimits) -> None:
     source.seek(0)
     start = source.read(HEAD_BYTES)
-    if not is_wav(start[:12]):
+    if not is_wav(start):
         _check_size(source, promised_bytes(start))
         return
     header = read_wav_header(source)

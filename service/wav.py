@@ -84,7 +84,7 @@ def read_wav_header(file: BinaryIO) -> WavHeader | None:
 
 
 def is_wav(start: bytes) -> bool:
-    """True where a file with these first twelve bytes calls itself a WAV file."""
+    """True where a file with these first bytes, at least twelve, calls itself a WAV file."""
     return bool(_riff(start)[0])
 
 

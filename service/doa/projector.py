@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from service.doa.covariance import MOST_PLANES
-from service.doa.subspace import check_dimension, planes_product, signal_subspace
+from service.doa.subspace import check_dimension, planes_product, signal_subspace, trace_of
 from service.doa.types import ComplexArray, FloatArray
 
 MOST_SOURCES = 2
@@ -49,11 +49,11 @@ def signal_projector(covariance: ComplexArray, num_sources: int) -> ComplexArray
     # Microphones that hear nothing add eigenvalues of zero, behind all others.
     matrices = np.zeros((MOST_PLANES, MOST_PLANES, bins), dtype=np.complex128)
     matrices[:microphones, :microphones] = covariance.transpose(1, 2, 0)
-    matrices *= 1 / np.maximum(_trace(matrices), TINY)
+    matrices *= 1 / trace_of(matrices)
     _plus_diagonal(matrices, -1 / MOST_PLANES)
     with np.errstate(all="ignore"):  # what comes of bins without a gap is not used
         projector = _polynomial(matrices, num_sources)
-        traces = np.array([_trace(projector), _inner(projector, projector)])
+        traces = np.array([trace_of(projector), _inner(projector, projector)])
         unclear = ~(np.abs(traces - num_sources).max(axis=0) < MOST_RESIDUAL)  # not a number, too
     projector = projector[:microphones, :microphones]
     if unclear.any():
@@ -119,12 +119,6 @@ def _quadratics(p: FloatArray, q: FloatArray, r: FloatArray) -> tuple[FloatArray
     s = np.sqrt(largest)
     total, difference = p + largest, q / s
     return s, (total + difference) / 2, (total - difference) / 2
-
-
-def _trace(matrices: ComplexArray) -> FloatArray:
-    """(F,) of Hermitian matrices (N, N, F)."""
-    trace: FloatArray = np.einsum("iif->f", matrices).real
-    return trace
 
 
 def _inner(first: ComplexArray, second: ComplexArray) -> FloatArray:

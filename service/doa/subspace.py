@@ -83,12 +83,12 @@ def principal_eigenvector(covariance: ComplexArray) -> tuple[ComplexArray, Float
     if microphones <= MOST_PLANES:
         planes, product = np.ascontiguousarray(planes), planes_product
     planes = planes.reshape(microphones, microphones, -1)
-    trace = _trace(planes)
+    trace = trace_of(planes)
     power = planes * (1 / trace)  # multiplied: a complex array by a real one divides slowly
     for _ in range(SQUARINGS):
         power = product(power, power)
     # The trace is made one again, so that float32 neither over- nor underflows.
-    power *= 1 / _trace(power)
+    power *= 1 / trace_of(power)
     largest = np.argmax(np.einsum("iic->ic", power).real, axis=0)
     column = power[:, largest, np.arange(len(largest))][:, None]
     for _ in range(APPLICATIONS):
@@ -122,7 +122,7 @@ def _norm(vectors: ComplexArray) -> FloatArray:
     return norm
 
 
-def _trace(matrices: ComplexArray) -> FloatArray:
+def trace_of(matrices: ComplexArray) -> FloatArray:
     """Traces (...) of Hermitian matrices (N, N, ...), at least the smallest float32."""
     trace: FloatArray = np.einsum("ii...->...", matrices).real
     return np.maximum(trace, np.finfo(np.float32).tiny)

@@ -61,7 +61,7 @@ class Chances(NamedTuple):
     """The same where the spectrum has no direction; what peaks there are is mostly noise"""
 
 
-CHANCES: Mapping[str, Chances] = {
+CHANCES: Mapping[Method, Chances] = {
     "norm_music": Chances(Curve(7.2, 0.15), Curve(3.1, 0.21), 0.19),
     "music": Chances(Curve(4.7, 0.17), Curve(1.4, 0.35), 0.03),
     "srp_phat": Chances(Curve(10.7, 0.27), Curve(5.4, 0.16), 0.19),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from model_export.export_run import check_replaceable, in_the_place_of
+from model_export.bundle_place import check_replaceable, in_the_place_of
 
 pytestmark = pytest.mark.torch
 
