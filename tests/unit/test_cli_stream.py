@@ -8,7 +8,7 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -159,6 +159,14 @@ def test_calibration_comes_before_the_audio(
     assert run(capsys, *argv)[0] == 0
 
 
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Ctrl-C is heard, here and in processes that are started; background jobs ignore it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 class Interrupting:
     """Ctrl-C while it is destroyed: Python prints what is raised there and goes on."""
 
@@ -166,6 +174,7 @@ class Interrupting:
         signal.raise_signal(signal.SIGINT)
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("interrupt", [lambda: signal.raise_signal(signal.SIGINT), Interrupting])
 def test_an_interrupted_stream_is_stopped_in_order(
@@ -192,6 +201,7 @@ def test_an_interrupted_stream_is_stopped_in_order(
     assert stream.summary == summary()
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_control_c_ends_in_order(real_service: str, tmp_path: Path) -> None:
     long = tmp_path / "long.wav"
     soundfile.write(long, np.zeros((60 * RATE, 4), np.int16), RATE)
