@@ -71,8 +71,8 @@ bench: install
 
 contracts: install
 	$(BIN)/python -m service.openapi > openapi.yaml
-	$(BIN)/python -m service.asyncapi > asyncapi.json
-	$(BIN)/python -m service.asyncapi docs/protocol.md
+	$(BIN)/python -m service.protocol.asyncapi > asyncapi.json
+	$(BIN)/python -m service.protocol.asyncapi docs/protocol.md
 
 audit: install
 	.ci/audit

@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from model_export.config import CONFIGS, TrainingConfig, smoke
-from model_export.datasets.command import add_datasets
+from model_export.cli.datasets import add_datasets
+from model_export.cli.experiments import add_commands
 from model_export.datasets.noise import noise_recordings
 from model_export.datasets.speech import Split, librispeech, load, speech_commands
-from model_export.experiments.command import add_commands
-from model_export.streams import SceneSource
-from model_export.synthesis import sound_bursts
+from model_export.simulation.synthesis import sound_bursts
+from model_export.training.config import CONFIGS, TrainingConfig, smoke
+from model_export.training.scene_stream import SceneSource
 from service.doa.presets import PRESETS, preset
 from service.doa.types import FloatArray
 from service.errors import DoaError
 
 if TYPE_CHECKING:
-    from model_export.results import Results
-    from model_export.workers import Workers
+    from model_export.evaluation.results import Results
+    from model_export.evaluation.workers import Workers
 
 LIBRISPEECH_REPEATS = 6
 """Utterances stand this often among the words, so that a tenth of the scenes is running speech"""
@@ -181,13 +181,13 @@ def _noises(arguments: argparse.Namespace) -> list[FloatArray]:
 
 
 def _rooms(arguments: argparse.Namespace) -> None:
-    from model_export.rooms import write_room_bank
+    from model_export.simulation.rooms import write_room_bank
 
     write_room_bank(arguments.out, arguments.chunks, workers=arguments.workers)
 
 
 def _train(arguments: argparse.Namespace) -> None:
-    from model_export.train import train
+    from model_export.training.train import train
 
     config = CONFIGS[arguments.config]
     sources = _recorded if arguments.recordings else _simulated
@@ -205,9 +205,9 @@ def _simulated(
     arguments: argparse.Namespace, config: TrainingConfig
 ) -> tuple[SceneSource, SceneSource]:
     """Scenes to train on and scenes to validate with, of other rooms and speakers."""
-    from model_export.array_rooms import ArrayRooms
-    from model_export.scenes import RoomBank
-    from model_export.streams import RoomSource, SimulatedScenes
+    from model_export.simulation.array_rooms import ArrayRooms
+    from model_export.simulation.scenes import RoomBank
+    from model_export.training.scene_stream import RoomSource, SimulatedScenes
 
     if arguments.speech_commands is None:
         raise ValueError("simulated scenes need speech: name its folder with --speech-commands")
@@ -228,7 +228,7 @@ def _recorded(
     arguments: argparse.Namespace, config: TrainingConfig
 ) -> tuple[SceneSource, SceneSource]:
     """The same two of unlabelled recordings."""
-    from model_export.datasets.recordings import RecordedScenes
+    from model_export.training.recorded_scenes import RecordedScenes
 
     if config.variant != "sscl" or config.array is None:
         raise ValueError(
@@ -239,7 +239,7 @@ def _recorded(
 
 
 def _export(arguments: argparse.Namespace) -> None:
-    from model_export.export_run import export_run
+    from model_export.export.run import export_run
 
     corpora = {"Google Speech Commands, training speakers": "CC BY 4.0"}
     if arguments.librispeech:
@@ -264,9 +264,9 @@ def _export(arguments: argparse.Namespace) -> None:
 
 
 def _evaluate(arguments: argparse.Namespace) -> None:
-    from model_export.evaluate import SEEDS, evaluate
-    from model_export.methods import Methods
-    from model_export.workers import Inputs, Workers
+    from model_export.evaluation.evaluate import SEEDS, evaluate
+    from model_export.evaluation.methods import Methods
+    from model_export.evaluation.workers import Inputs, Workers
 
     _check_writing(arguments)
     speech = load(speech_commands(arguments.speech_commands, arguments.split))
@@ -293,9 +293,9 @@ def _check_writing(arguments: argparse.Namespace) -> None:
 
 
 def _write_results(arguments: argparse.Namespace, workers: Workers, results: Results) -> None:
-    from model_export.export import update_scores
-    from model_export.figures import draw
-    from model_export.results import update_readme
+    from model_export.evaluation.figures import draw
+    from model_export.evaluation.results import update_readme
+    from model_export.export.bundle import update_scores
     from service.inference.bundle import read_manifest
 
     results.write(arguments.out)
@@ -309,8 +309,8 @@ def _write_results(arguments: argparse.Namespace, workers: Workers, results: Res
 
 
 def _simulate(arguments: argparse.Namespace) -> None:
-    from model_export.simulate import Protocol, write_scenes
-    from model_export.synthesis import synthetic_voice
+    from model_export.simulation.protocol import Protocol, write_scenes
+    from model_export.simulation.synthesis import synthetic_voice
 
     if arguments.speech_commands:
         speech = load(speech_commands(arguments.speech_commands, "heldout"))
@@ -327,8 +327,8 @@ def _simulate(arguments: argparse.Namespace) -> None:
 
 
 def _finetune(arguments: argparse.Namespace) -> None:
-    from model_export.finetune import FineTuning
-    from model_export.finetune_run import finetune_run
+    from model_export.finetuning.finetune import FineTuning
+    from model_export.finetuning.run import finetune_run
     from service.cli.inputs import read_array
 
     if (arguments.rooms is None) != (arguments.speech_commands is None):
@@ -354,7 +354,7 @@ def _finetune(arguments: argparse.Namespace) -> None:
 
 
 def _own_room(arguments: argparse.Namespace) -> None:
-    from model_export.own_room import write_own_room
+    from model_export.finetuning.own_room import write_own_room
 
     write_own_room(
         arguments.out,
@@ -367,7 +367,7 @@ def _own_room(arguments: argparse.Namespace) -> None:
 
 
 def _sample(arguments: argparse.Namespace) -> None:
-    from model_export.sample import write_sample
+    from model_export.simulation.sample import write_sample
 
     write_sample(arguments.out)
 

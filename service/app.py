@@ -12,12 +12,12 @@ from starlette.types import ASGIApp
 
 from service import __version__
 from service.api import admin, catalog, localize, metrics, noise, page, probes, sessions, stream
-from service.api.deadlines import BodyDeadline
-from service.api.guard import Guard
-from service.api.guard_contract import document_guard
-from service.api.limits import BodyLimit
+from service.api.contract.keys import document_guard
+from service.api.middleware.body_deadline import BodyDeadline
+from service.api.middleware.body_limit import BodyLimit
+from service.api.middleware.guard import Guard
+from service.api.middleware.request_watch import RequestWatch
 from service.api.problems import Problem, install_problem_handlers
-from service.api.requests import RequestWatch
 from service.api.state import ServiceState
 from service.inference.registry import BundleRegistry
 from service.settings import Settings, load_settings

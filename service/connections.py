@@ -1,8 +1,8 @@
 """What a connection may keep the service waiting for, and when its socket is read.
 
 uvicorn itself waits for ever. A request's head has a deadline (slow-loris), and so has what a peer
-does not take, by the system's own timer. A request's body has one in ``service.api.deadlines``, a
-stream's messages have one in ``service.streaming.session``.
+does not take, by the system's own timer. A request's body has one in
+``service.api.middleware.body_deadline``, a stream's messages in ``service.streaming.session``.
 """
 
 from __future__ import annotations

@@ -16,9 +16,9 @@ from pydantic import Field, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from service.cpus import usable_cpus
+from service.access.key_file import TOKEN
 from service.errors import ConfigError
-from service.key_file import TOKEN
+from service.machine.cpus import usable_cpus
 
 PREFIX = "NEURALMUSIC_"
 KEY_VARIABLE = f"{PREFIX}KEY"

@@ -15,8 +15,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from model_export.baselines.network import Truth
-from model_export.networks import NUM_FRAMES
-from model_export.tasks import STFT, steering_delays
+from model_export.training.networks import NUM_FRAMES
+from model_export.training.task import STFT, steering_delays
 from service.doa.array import MicrophoneArray
 from service.doa.features import LEVEL_FLOOR, LEVEL_SCALE
 from service.doa.types import FloatArray

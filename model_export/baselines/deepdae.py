@@ -18,7 +18,7 @@ from model_export.baselines.network import (
     count_loss,
     scaled,
 )
-from model_export.targets import wrapped_gaussians
+from model_export.training.targets import wrapped_gaussians
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 

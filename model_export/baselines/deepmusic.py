@@ -32,9 +32,9 @@ from model_export.baselines.network import (
     count_loss,
     scaled,
 )
-from model_export.precision import training_precision
-from model_export.regression import counted_projector
-from model_export.tasks import STFT
+from model_export.training.precision import training_precision
+from model_export.training.regression import counted_projector
+from model_export.training.task import STFT
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from model_export.baselines.heads import DirectionHead
 from model_export.baselines.method import Card
 from model_export.baselines.network import BaselineNetwork, Prediction, scaled
-from model_export.precision import training_precision
+from model_export.training.precision import training_precision
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 

@@ -17,10 +17,10 @@ from model_export.baselines.heads import spectrum_layer
 from model_export.baselines.method import Card
 from model_export.baselines.music import LOG_FLOOR, array_products, music_spectrum
 from model_export.baselines.network import MAX_SOURCES, BaselineNetwork, Prediction, Truth
-from model_export.networks import NUM_FRAMES, FrequencyAttentionFusion, SourceCountNetwork
-from model_export.precision import training_precision
-from model_export.regression import counted_projector, subspace_distance
-from model_export.tasks import STFT
+from model_export.training.networks import NUM_FRAMES, FrequencyAttentionFusion, SourceCountNetwork
+from model_export.training.precision import training_precision
+from model_export.training.regression import counted_projector, subspace_distance
+from model_export.training.task import STFT
 from service.doa.array import MicrophoneArray
 from service.doa.spectrogram import spectrogram_features
 from service.doa.types import FloatArray

@@ -17,9 +17,9 @@ from model_export.baselines.bands import (
     matched_snapshots,
 )
 from model_export.baselines.network import GRID_SIZE, MAX_SOURCES, BaselineNetwork, Prediction
-from model_export.regression import counted_projector
-from model_export.subspace import delay_products, signal_power
-from model_export.tasks import STFT, steering_delays
+from model_export.training.regression import counted_projector
+from model_export.training.subspace import delay_products, signal_power
+from model_export.training.task import STFT, steering_delays
 from service.doa.array import MicrophoneArray
 from service.doa.steering import azimuth_grid
 from service.doa.types import FloatArray

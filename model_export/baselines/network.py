@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from model_export.baselines.method import Card, Estimate
-from model_export.targets import target_spectrum
+from model_export.training.targets import target_spectrum
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 

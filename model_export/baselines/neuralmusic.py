@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from model_export.baselines.matched import MatchedSubspace
 from model_export.baselines.method import Card
-from model_export.networks import NUM_BINS, CovarianceNetwork, Encoder
+from model_export.training.networks import NUM_BINS, CovarianceNetwork, Encoder
 
 CARD = Card(
     "neuralmusic",

@@ -11,7 +11,7 @@ from model_export.baselines.features import framed_spectra, log_level, unit_phas
 from model_export.baselines.heads import DirectionHead
 from model_export.baselines.method import Card
 from model_export.baselines.network import BaselineNetwork, Prediction
-from model_export.precision import training_precision
+from model_export.training.precision import training_precision
 from service.doa.array import MicrophoneArray
 from service.doa.features import LEVEL_SCALE
 from service.doa.types import FloatArray

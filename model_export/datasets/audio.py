@@ -9,7 +9,7 @@ import numpy as np
 
 from model_export import SAMPLE_RATE
 from model_export.datasets.finding import DatasetError, require
-from service.audio import Recording
+from service.audio.recording import Recording
 from service.doa.types import FloatArray
 from service.errors import DoaError
 

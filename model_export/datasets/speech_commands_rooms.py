@@ -14,7 +14,7 @@ from model_export.datasets.audio import check_audio
 from model_export.datasets.finding import Count, DatasetError, Finding, collect, miscounts, require
 from model_export.datasets.item import DatasetItem, Directions, check_split
 from model_export.datasets.speech import Clip, Split, load, speech_commands
-from model_export.simulate import Protocol, simulate_scene
+from model_export.simulation.protocol import Protocol, simulate_scene
 from service.doa.types import FloatArray
 
 LISTS = ("validation_list.txt", "testing_list.txt")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from model_export.noise import sensor_noise
+from model_export.simulation.noise import sensor_noise
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray, IntArray
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from model_export.cells import large_room, small_room
+from model_export.evaluation.cells import large_room, small_room
 from model_export.experiments.scale import Scale
 from model_export.experiments.scene_set import Recipe
-from model_export.simulate import Protocol
+from model_export.simulation.protocol import Protocol
 
 TRAIN = "train"
 COUNTS = (1, 2, 1, 2, 1, 2, 1, 2, 3)

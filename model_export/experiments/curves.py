@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from model_export.evaluation.drawing import axes, save, style
 from model_export.experiments import paper
 from model_export.experiments.cells import Cell
 from model_export.experiments.contenders import (
@@ -15,7 +16,6 @@ from model_export.experiments.contenders import (
     shipped_contenders,
     title,
 )
-from model_export.experiments.drawing import axes, save, style
 from model_export.experiments.finding import Finding, Rows, Table
 from model_export.experiments.study import Contender, Study
 

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from model_export.arrays import named_array
 from model_export.baselines.network import MAX_SOURCES
 from model_export.datasets.speech import Split
-from model_export.methods import Methods
-from model_export.scenes import WINDOW_SAMPLES
-from model_export.simulate import Protocol, simulate_scene
-from model_export.workers import Inputs, Workers
+from model_export.evaluation.methods import Methods
+from model_export.evaluation.workers import Inputs, Workers
+from model_export.simulation.arrays import named_array
+from model_export.simulation.protocol import Protocol, simulate_scene
+from model_export.simulation.scenes import WINDOW_SAMPLES
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 

@@ -12,17 +12,17 @@ from matplotlib.figure import Figure
 from model_export.baselines.matched import MatchedSubspace, matched_features
 from model_export.baselines.network import LearnedMethod
 from model_export.baselines.neuralmusic import CovarianceTrunk
-from model_export.config import PAPER_SSCL
+from model_export.evaluation.drawing import OURS, axes, save
 from model_export.experiments.cells import TRAIN
 from model_export.experiments.contenders import NEURALMUSIC
-from model_export.experiments.drawing import OURS, axes, save
 from model_export.experiments.finding import Finding, Table
 from model_export.experiments.scene_set import SceneSet
 from model_export.experiments.study import SEED, Contender, Study
 from model_export.experiments.training import parameters
-from model_export.masking import draw_mask, masked_features
-from model_export.sscl import SsclPipeline, SsclTask
-from model_export.tasks import STFT
+from model_export.training.config import PAPER_SSCL
+from model_export.training.masking import draw_mask, masked_features
+from model_export.training.sscl import SsclPipeline, SsclTask
+from model_export.training.task import STFT
 from service.doa.types import BoolArray, ComplexArray, FloatArray
 
 MASKS = ("a span of time", "a band of frequencies", "scattered cells")
@@ -40,7 +40,7 @@ def sscl_loss(study: Study, figures: Path) -> Finding:
     text = (
         "Self-supervised spatial correlation learning: a random microphone is masked and rebuilt "
         "from the others, no direction is told. The loss is relative, 1 for an empty "
-        "reconstruction (`model_export/sscl.py` says how it differs from the paper's)."
+        "reconstruction (`model_export/training/sscl.py` says how it differs from the paper's)."
     )
     rows = tuple(
         (f"{steps[i]:.0f}", losses[i]) for i in sorted({0, len(steps) // 2, -1 % len(steps)})

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from model_export.evaluation.drawing import save, style
 from model_export.experiments.cells import Cell
 from model_export.experiments.contenders import (
     classical_contenders,
@@ -14,7 +15,6 @@ from model_export.experiments.contenders import (
     shipped_contenders,
     title,
 )
-from model_export.experiments.drawing import save, style
 from model_export.experiments.finding import Finding
 from model_export.experiments.study import Contender, Study, heard
 from service.doa.types import FloatArray

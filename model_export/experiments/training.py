@@ -14,13 +14,13 @@ import torch
 from torch import nn
 
 from model_export.baselines.network import BaselineNetwork, Truth
-from model_export.config import PAPER_SSCL
 from model_export.experiments.augmentation import sometimes_noisy, symmetries
 from model_export.experiments.scene_set import SceneSet
-from model_export.fitting import Fitting, checkpoint
-from model_export.scenes import Scene
-from model_export.sscl import SsclTask
-from model_export.train import on
+from model_export.simulation.scenes import Scene
+from model_export.training.config import PAPER_SSCL
+from model_export.training.fitting import Fitting, checkpoint
+from model_export.training.sscl import SsclTask
+from model_export.training.train import on
 from service.doa.types import FloatArray
 
 Track = Literal["cited", "matched"]

@@ -7,15 +7,15 @@ from dataclasses import replace
 import anyio.to_thread
 from fastapi import APIRouter, Request, Response
 
-from service.api.contract import LOCALIZE_ERRORS, LOCALIZE_EXAMPLE, localize_operation
-from service.api.guard import key_of
-from service.api.options import LocalizeRequest, read_options
+from service.api.contract.localize import LOCALIZE_ERRORS, LOCALIZE_EXAMPLE, localize_operation
+from service.api.middleware.guard import key_of
 from service.api.problems import problem_responses
-from service.api.recording_job import Opened, RecordingJob
-from service.api.schemas import LocalizationAnswer
 from service.api.state import ServiceState, state_of
 from service.api.upload import read_upload
-from service.logs import request_id
+from service.observability.logs import request_id
+from service.recordings.answers import LocalizationAnswer
+from service.recordings.job import Opened, RecordingJob
+from service.recordings.options import LocalizeRequest, read_options
 
 router = APIRouter(tags=["localization"])
 

@@ -11,9 +11,8 @@ import anyio.to_thread
 from fastapi import APIRouter, HTTPException, Path, Request, Response
 
 from service.api.catalog import NOT_FOUND
-from service.api.guard import key_of
+from service.api.middleware.guard import key_of
 from service.api.problems import problem_responses
-from service.api.schemas import Answer
 from service.api.state import state_of
 from service.errors import (
     DiskFull,
@@ -26,6 +25,7 @@ from service.errors import (
 )
 from service.inference.noise_profile import MAX_BYTES, load_noise, noise_bytes
 from service.inference.noise_store import NoiseStore, StoredNoise
+from service.recordings.answers import Answer
 
 MEDIA_TYPE = "application/octet-stream"
 BINARY = {"schema": {"type": "string", "format": "binary"}}

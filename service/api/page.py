@@ -15,7 +15,7 @@ from typing import Literal
 from fastapi import APIRouter, HTTPException, Request, Response
 
 from service import __version__
-from service.api.schemas import Answer
+from service.recordings.answers import Answer
 
 router = APIRouter(tags=["service"])
 

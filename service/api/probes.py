@@ -7,10 +7,10 @@ from typing import Literal
 from fastapi import APIRouter, Request, Response
 
 from service.api.problems import problem_responses
-from service.api.schemas import Answer
 from service.api.state import state_of
-from service.asyncapi import document_json
 from service.errors import Draining, NotReady
+from service.protocol.asyncapi import document_json
+from service.recordings.answers import Answer
 
 router = APIRouter(tags=["service"])
 

@@ -10,20 +10,20 @@ import anyio.to_thread
 from anyio import CapacityLimiter
 from fastapi import Request
 
-from service.api.recording_workers import RecordingWorkers
-from service.api.stream_workers import StreamWorkers
-from service.audio import AudioLimits
-from service.auth import Keys
+from service.access.keys import Keys
+from service.audio.recording import AudioLimits
 from service.errors import DoaError, Draining, NotReady, ReloadRefused
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
-from service.memory import give_back_memory
-from service.metrics import Gauges, Metrics
+from service.machine.memory import give_back_memory
+from service.observability.metrics import Gauges, Metrics
+from service.observability.traces import Traces
 from service.settings import Settings
 from service.startup import load_registry
 from service.streaming.registry import SessionRegistry
-from service.traces import Traces
-from service.worker_link import Setup
+from service.workers.link import Setup
+from service.workers.recording_pool import RecordingWorkers
+from service.workers.stream_pool import StreamWorkers
 
 log = logging.getLogger(__name__)
 

@@ -7,13 +7,13 @@ from contextlib import ExitStack, suppress
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
-from service.api.guard import key_of
+from service.access.key_file import Key
+from service.access.keys import ANYONE
+from service.api.middleware.guard import key_of
 from service.api.outbox import Outbox, message_json
 from service.api.problems import problem_response
 from service.api.state import ServiceState
 from service.api.stream_watch import StreamWatch
-from service.api.stream_workers import worker_lost
-from service.auth import ANYONE
 from service.errors import (
     AccessError,
     AudioQuota,
@@ -22,15 +22,15 @@ from service.errors import (
     SubprotocolMissing,
     TooManySessions,
 )
-from service.key_file import Key
-from service.logs import session_id
-from service.memory import give_back_memory
+from service.machine.memory import give_back_memory
+from service.observability.logs import session_id
 from service.protocol import SUBPROTOCOL
 from service.protocol.close_codes import CloseCode
 from service.protocol.server_messages import OdasSsl, OdasSst, Result, ServerMessage, Stats
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session
 from service.streaming.work import Close, Outcome
+from service.workers.stream_pool import worker_lost
 
 TICK_S = 1.0
 """Seconds between looks at the clock"""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from contextvars import copy_context
 from typing import Any
 
-from service.metrics import Metrics
+from service.observability.metrics import Metrics
 from service.protocol.server_messages import (
     Closing,
     OdasSst,

@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
-from service.api.options import LocalizeRequest
-from service.api.recording_job import RecordingJob
-from service.api.schemas import ModelAnswer
-from service.audio import AudioLimits
+from service.audio.recording import AudioLimits
 from service.errors import InvalidOption
 from service.inference.choice import choose_method
 from service.inference.results import Method, ModelIdentity
+from service.recordings.answers import ModelAnswer
+from service.recordings.job import RecordingJob
+from service.recordings.options import LocalizeRequest
 from service.settings import Settings
 from service.startup import load_registry
-from service.worker_link import Setup
+from service.workers.link import Setup
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,10 +6,10 @@ from typing import Any
 
 from pydantic_core import from_json
 
-from service.api.recording_job import Localized
 from service.batch.archive import FoundRecording, Key
 from service.batch.plan import Plan
 from service.errors import DoaError, RecordingUnreadable, WorkerLost
+from service.recordings.job import Localized
 
 Record = dict[str, Any]
 """JSON: path, size_bytes, modified_ms, error, options, method, model; then the other fields of

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from service.api.recording_job import Progress, Report
-from service.api.recording_workers import RecordingWorker
 from service.batch.archive import FoundRecording
 from service.batch.plan import Plan
 from service.batch.record import Record, failed, localized
 from service.errors import DecodingFailed, DoaError, RecordingUnreadable, WorkerLost
+from service.recordings.job import Progress, Report
+from service.workers.recording_pool import RecordingWorker
 
 Told = Callable[[FoundRecording, float], None]
 """Takes the share of a recording that is done"""

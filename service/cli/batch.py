@@ -112,7 +112,7 @@ def _records(
 
         return localize_on_ray(plan, recordings, args.jobs)
     from service.batch.local import localize_here
-    from service.cpus import usable_cpus
+    from service.machine.cpus import usable_cpus
 
     return localize_here(plan, recordings, args.jobs or usable_cpus(), told)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from service.errors import InvalidOption
 
 if TYPE_CHECKING:
-    from service.bench import BenchResult, Timing
+    from service.bench.window import BenchResult, Timing
 
 NAME = "bench"
 SUMMARY = "time every stage of a window and the hop of a stream beside pyroomacoustics"
@@ -39,9 +39,9 @@ def run(args: argparse.Namespace) -> int:
             raise InvalidOption(f"--{flag} must be at least 1, but is {getattr(args, flag)}")
     # BLAS reads these when numpy is first imported, so nothing before may import it.
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(args.threads)))
-    from service.bench import bench, bench_arrays
+    from service.bench.window import bench, bench_arrays
     from service.inference.registry import BundleRegistry
-    from service.memory import keep_freed_memory
+    from service.machine.memory import keep_freed_memory
 
     keep_freed_memory()  # as the workers do
     bundles = BundleRegistry.load(threads=args.threads).bundles

@@ -10,7 +10,8 @@ from rich.console import Console
 
 from service.cli.terminal import clock, degrees, line, output, sector, table
 from service.doa.peaks import circular_difference
-from service.inference.results import RecordingResult, Source, WindowResult
+from service.inference.results import Source
+from service.recordings.results import RecordingResult, WindowResult
 
 SAME = math.radians(10.0)  # consecutive windows whose sources moved less are one row
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 from service.errors import ChannelMismatch, InvalidOption
 
 if TYPE_CHECKING:
-    from service.audio import AudioLimits, Recording
+    from service.audio.recording import AudioLimits, Recording
     from service.doa.array import MicrophoneArray
 
 MAX_SECONDS = 86_400.0  # the limits of the service protect others; this is the user's own machine
@@ -81,14 +81,14 @@ def given_key(argument: str | None) -> str | None:
 
 def generous_limits() -> AudioLimits:
     """What a recording of the user's own may claim."""
-    from service.audio import AudioLimits
+    from service.audio.recording import AudioLimits
 
     return AudioLimits(max_channels=MAX_CHANNELS, max_seconds=MAX_SECONDS)
 
 
 def open_recording(path: Path) -> Recording:
     """Open a file with generous limits."""
-    from service.audio import Recording
+    from service.audio.recording import Recording
 
     return Recording.open(path, generous_limits())
 
@@ -105,7 +105,7 @@ def array_text(argument: str) -> str:
 
 def read_array(argument: str) -> MicrophoneArray:
     """The array of ``--array``: a preset's name, JSON or ``@file.json``."""
-    from service.api import geometry
+    from service.recordings import geometry
 
     text = array_text(argument).strip()
     if not text:
@@ -125,9 +125,9 @@ def choose_channels(
     ChannelMismatch
         If its channels do not fit the array or the map.
     """
-    from service.api.geometry import read_channel_map
     from service.doa.array import validate_channel_map
     from service.doa.presets import RAW_CHANNELS
+    from service.recordings.geometry import read_channel_map
 
     if channel_map is not None:
         try:

@@ -12,7 +12,7 @@ from service.cli.terminal import line, output, table
 from service.errors import InvalidOption
 
 if TYPE_CHECKING:
-    from service.key_file import Key
+    from service.access.key_file import Key
 
 NAME = "key"
 SUMMARY = "make and list the API keys of a service"
@@ -40,7 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def _configure_new(parser: argparse.ArgumentParser) -> None:
-    from service.key_file import ROLES
+    from service.access.key_file import ROLES
 
     add = parser.add_argument
     add("name", metavar="NAME", help="of whoever will have it, for logs")
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _new(args: argparse.Namespace) -> int:
-    from service.key_file import new_token, read_keys
+    from service.access.key_file import new_token, read_keys
 
     token = new_token()
     key = _key(args, token)
@@ -89,7 +89,7 @@ def _new(args: argparse.Namespace) -> int:
 def _key(args: argparse.Namespace, token: str) -> Key:
     from pydantic import ValidationError
 
-    from service.key_file import Key, token_sha256
+    from service.access.key_file import Key, token_sha256
 
     try:
         return Key.model_validate(
@@ -130,7 +130,7 @@ def _expiry(expires: datetime) -> str:
 
 
 def _list(path: Path) -> int:
-    from service.key_file import read_keys
+    from service.access.key_file import read_keys
 
     console = output()
     drawn = table(console, "name", "roles", "sessions", "uploads", "audio s/h", "expires", "hash")

@@ -15,7 +15,7 @@ from service.cli.options import add_options, read_request
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from service.inference.results import LocalizeOptions, RecordingResult
+    from service.recordings.results import LocalizeOptions, RecordingResult
 
 NAME = "localize"
 SUMMARY = "localize the sources in a recording"
@@ -37,17 +37,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     asked = read_request(args, spectrum=str(args.spectrum))
     if args.plot:
-        from service.plot import check_drawable
+        from service.cli.plot import check_drawable
 
         check_drawable(args.plot)  # before the work, not after it
     spectra = asked.spectrum or bool(args.plot)
     result = _localize(args, replace(asked.options, spectra=spectra))
     if args.plot:
-        from service.plot import save_figure
+        from service.cli.plot import save_figure
 
         save_figure(result, args.plot)
     if args.json:
-        from service.api.localization_json import localization_json
+        from service.recordings.answer_json import localization_json
 
         print(localization_json(result, spectrum=asked.spectrum).decode())
     else:
@@ -58,8 +58,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _localize(args: argparse.Namespace, options: LocalizeOptions) -> RecordingResult:
-    from service.inference.recording import localize_recording
-    from service.memory import keep_freed_memory
+    from service.machine.memory import keep_freed_memory
+    from service.recordings.localize import localize_recording
     from service.settings import load_settings
     from service.startup import load_registry
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from service.cli.inputs import array_text
 
 if TYPE_CHECKING:
-    from service.api.options import LocalizeRequest
+    from service.recordings.options import LocalizeRequest
 
 NAMES = (
     "channel_map",
@@ -73,8 +73,8 @@ def read_request(args: argparse.Namespace, **more: str) -> LocalizeRequest:
     OSError
         If a file that they name cannot be read.
     """
-    from service.api.options import read_options
     from service.inference.noise_profile import load_noise
+    from service.recordings.options import read_options
 
     asked = read_options([*given_options(args).items(), *more.items()])
     if args.noise is None:

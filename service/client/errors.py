@@ -10,19 +10,17 @@ from __future__ import annotations
 from service.errors import DoaError
 
 
-class ClientError(DoaError):
+class ClientError(DoaError, code="client_failed", title="The client cannot go on"):
     """A client of the service cannot go on."""
 
-    code, title = "client_failed", "The client cannot go on"
 
-
-class ServiceUnreachable(ClientError):
+class ServiceUnreachable(
+    ClientError, code="unreachable", title="Service unreachable", retryable=True
+):
     """Nothing answers at the address, or not in time."""
 
-    code, title, retryable = "unreachable", "Service unreachable", True
 
-
-class ServiceProblem(ClientError):
+class ServiceProblem(ClientError, code="service_problem", title="The service refused"):
     """The service said no: ``code``, ``title`` and ``detail`` are the service's own.
 
     Parameters
@@ -38,8 +36,6 @@ class ServiceProblem(ClientError):
     retry_after_s : float, optional
         Seconds that the service asks to wait.
     """
-
-    code, title = "service_problem", "The service refused"
 
     def __init__(
         self,
@@ -58,13 +54,9 @@ class ServiceProblem(ClientError):
         self.retry_after_s = retry_after_s
 
 
-class StreamRefused(ServiceProblem):
+class StreamRefused(ServiceProblem, code="stream_refused", title="Stream refused"):
     """The service did not begin the session."""
 
-    code, title = "stream_refused", "Stream refused"
 
-
-class StreamClosed(ServiceProblem):
+class StreamClosed(ServiceProblem, code="stream_closed", title="Stream closed"):
     """The session has ended, or cannot be resumed."""
-
-    code, title = "stream_closed", "Stream closed"

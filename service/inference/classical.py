@@ -66,7 +66,7 @@ CHANCES: Mapping[Method, Chances] = {
     "music": Chances(Curve(4.7, 0.17), Curve(1.4, 0.35), 0.03),
     "srp_phat": Chances(Curve(10.7, 0.27), Curve(5.4, 0.16), 0.19),
 }
-"""Fitted to 1,800 simulated windows by ``python -m model_export.classical_confidence``"""
+"""Fitted to 1,800 simulated windows by ``python -m model_export classical-confidence``"""
 
 _shared: WeakValueDictionary[tuple[bytes, bytes], Grid] = WeakValueDictionary()
 

@@ -1,22 +1,15 @@
-"""What localization takes and gives: options, sources, windows, a whole recording."""
+"""What localizing a window gives: sources, a spectrum, warnings, the model that answered."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, get_args
 
-from service.doa.array import MicrophoneArray
-from service.doa.orientation import ALIGNED, Orientation
 from service.doa.types import FloatArray
-from service.doa.whitening import NoiseCovariance
 
 Method = Literal["neural", "norm_music", "music", "srp_phat"]
 METHODS: tuple[Method, ...] = get_args(Method)
 
-DEFAULT_WINDOW_S = 1.024
-DEFAULT_HOP_S = 0.512
-DEFAULT_MAX_SOURCES = 3
 MAX_SOURCES = 4
 
 
@@ -44,29 +37,6 @@ class WindowEstimate:
 
 
 @dataclass(frozen=True, slots=True)
-class WindowResult:
-    """A window's estimate with its place in the recording."""
-
-    t_start: float
-    """Seconds"""
-    t_end: float
-    """Seconds"""
-    estimate: WindowEstimate
-
-
-@dataclass(frozen=True, slots=True)
-class SummarySource:
-    """A direction that recurs over a recording."""
-
-    azimuth: float
-    """Radians in [0, 2 pi)"""
-    confidence: float
-    """Mean confidence of its windows"""
-    share: float
-    """Share of the windows with any source in which this one is heard"""
-
-
-@dataclass(frozen=True, slots=True)
 class AudioWarning:
     """Something about the input that the user should know; the answer stands all the same."""
 
@@ -82,51 +52,3 @@ class ModelIdentity:
     version: str
     variant: str
     sha256: str
-
-
-@dataclass(frozen=True, slots=True)
-class LocalizeOptions:
-    """How a recording is to be localized."""
-
-    array: MicrophoneArray
-    channel_map: tuple[int, ...] | None = None
-    """Recording channel of every microphone, from 0; None takes the channels as they are"""
-    model: str | None = None
-    """Bundle name; None chooses by geometry"""
-    method: Method | None = None
-    """None is ``neural`` where a bundle fits the array, else ``norm_music``"""
-    num_sources: int | None = None
-    """Known number of sources; None estimates it"""
-    max_sources: int = DEFAULT_MAX_SOURCES
-    """At most this many where the number is estimated"""
-    window_s: float = DEFAULT_WINDOW_S
-    """Seconds per window"""
-    hop_s: float = DEFAULT_HOP_S
-    """Seconds between windows"""
-    orientation: Orientation = ALIGNED
-    """How the array is mounted, and where nothing is reported"""
-    noise: NoiseCovariance | None = None
-    """The robot's own noise, to be taken away"""
-    spectra: bool = True
-    """Whether the windows' spectra are kept: without them a window is a few numbers"""
-
-
-@dataclass(frozen=True, slots=True)
-class RecordingResult:
-    """The answer for a whole recording."""
-
-    method: Method
-    model: ModelIdentity | None
-    """None where a classical method answered"""
-    sample_rate: int
-    """Hertz, of the recording as it came"""
-    channels: int
-    duration: float
-    """Seconds"""
-    array: MicrophoneArray
-    channel_map: tuple[int, ...]
-    windows: Sequence[WindowResult]
-    summary: Sequence[SummarySource]
-    warnings: Sequence[AudioWarning] = field(default_factory=tuple)
-    stretches: Mapping[int, int] = field(default_factory=dict)
-    """How often so many windows were computed at a time"""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from service.audio.pcm import container_of
 from service.errors import InvalidMessage, MessageTooBig
 from service.protocol import MAX_MESSAGE_BYTES
 from service.protocol.client_messages import AudioFormat
 from service.protocol.framing import HEADER, NANOSECONDS, SEQUENCE_MODULUS, FrameHeader
 from service.streaming.buffer import AudioBuffer, Piece
-from service.streaming.pcm import container_of
 
 LONGEST_GAP = 3600.0
 """Seconds; a longer one by the capture times is a clock that was set"""

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import soxr
 
+from service.audio.pcm import decode_pcm
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics.running import RunningDiagnostics
 from service.doa.orientation import Orientation
@@ -27,7 +28,6 @@ from service.protocol.framing import NANOSECONDS
 from service.protocol.server_messages import WhyNoSource
 from service.streaming.buffer import Piece
 from service.streaming.clock import StreamClock
-from service.streaming.pcm import decode_pcm
 
 RESAMPLING = "MQ"
 """soxr's; 6 ms of delay where its HQ takes 33 ms"""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from service.app import create_app
 from service.doa.array import SPEED_OF_SOUND
 from service.doa.presets import preset
-from service.logs import JsonFormatter, TextFormatter
+from service.observability.logs import JsonFormatter, TextFormatter
 from service.settings import Settings
 
 ARRAY = "respeaker-usb-4mic-v2"

@@ -12,7 +12,7 @@ from running_service import RunningService
 from starlette.types import Message, Receive, Scope, Send
 
 from service import connections
-from service.api.deadlines import BodyDeadline
+from service.api.middleware.body_deadline import BodyDeadline
 from service.errors import RequestTimeout
 from service.settings import Settings
 

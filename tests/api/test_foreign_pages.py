@@ -20,12 +20,12 @@ from hypothesis import strategies as st
 from running_service import RunningService
 from starlette.datastructures import Headers
 
-from service.api.hosts import check_host, host_name
-from service.api.origins import check_origin
+from service.access.key_file import new_token, token_sha256
+from service.api.middleware.hosts import check_host, host_name
+from service.api.middleware.origins import check_origin
 from service.app import create_app
 from service.errors import HostRefused, OriginRefused
 from service.inference.registry import BundleRegistry
-from service.key_file import new_token, token_sha256
 from service.settings import Settings
 
 EVIL = "http://evil.example"

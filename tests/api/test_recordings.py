@@ -20,15 +20,15 @@ import pytest
 import soundfile
 from fastapi.testclient import TestClient
 
-from service import recording_worker
-from service.api.options import read_options
-from service.api.recording_job import Opened, Progress, RecordingJob, Refused, localize_file
 from service.app import create_app
-from service.audio import AudioLimits
+from service.audio.recording import AudioLimits
 from service.errors import UNEXPECTED, InvalidOption
 from service.inference.registry import BundleRegistry
+from service.recordings.job import Opened, Progress, RecordingJob, Refused, localize_file
+from service.recordings.options import read_options
 from service.settings import Settings
-from service.worker_link import Link
+from service.workers import recording as recording_worker
+from service.workers.link import Link
 
 ARRAY = "respeaker-usb-4mic-v2"
 PATIENCE = 20  # seconds until a hanging test fails
@@ -313,7 +313,7 @@ def test_an_unforeseen_failure_gives_nothing_away(
     def broken(*_: Any) -> None:
         raise ZeroDivisionError("secret")
 
-    monkeypatch.setattr("service.recording_worker.localize_file", broken)
+    monkeypatch.setattr("service.workers.recording.localize_file", broken)
     with (tmp_path / "any").open("w+b") as file:
         link.send(job(), [file.fileno()])
         refused = link.receive()

@@ -188,7 +188,7 @@ sys.exit(main(["serve", "--port", "0", "--workers", "1", "--models", {str(bundle
 def test_a_stream_worker_that_stands_still_is_killed(
     service: RunningService, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.api.stream_workers.STALL_S", 0.5)
+    monkeypatch.setattr("service.workers.stream_pool.STALL_S", 0.5)
 
     async def run() -> tuple[dict[str, Any], int | None]:
         async with opened(service) as socket:

@@ -11,13 +11,13 @@ import pytest
 from fastapi.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from service.api.requests import SHOWN_PATH
+from service.api.middleware.request_watch import SHOWN_PATH
 from service.app import create_app
 from service.errors import BundleNotFound
 from service.inference.registry import BundleRegistry
 from service.settings import Settings
 
-LOGGER = "service.api.requests"
+LOGGER = "service.api.middleware.request_watch"
 
 
 @pytest.fixture
@@ -190,7 +190,7 @@ def test_metrics_come_in_the_format_that_is_asked_for(client: TestClient) -> Non
 
 
 def test_lines_can_be_written_as_json(client: TestClient, caplog: pytest.LogCaptureFixture) -> None:
-    from service.logs import JsonFormatter
+    from service.observability.logs import JsonFormatter
 
     caplog.set_level(logging.INFO, "service")
     client.get("/models/%0aforged")

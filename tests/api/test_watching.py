@@ -29,8 +29,8 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosedError
 
 from service.errors import ConfigError
+from service.observability.traces import Traces
 from service.settings import Settings
-from service.traces import Traces
 
 ROOT = Path(__file__).parents[2]
 ARRAY = "respeaker-usb-4mic-v2"
@@ -244,7 +244,9 @@ def test_a_defect_is_one_line_with_its_traceback_and_the_id_of_the_request(tmp_p
 def test_a_lost_worker_is_counted_and_named_in_the_log(tmp_path: Path) -> None:
     process = Process(tmp_path, "--log-format", "json")
 
-    (worker,) = (int(pid) for pid in children(process.pid) if b"stream_worker" in command_line(pid))
+    (worker,) = (
+        int(pid) for pid in children(process.pid) if b"workers.stream" in command_line(pid)
+    )
     os.kill(worker, signal.SIGKILL)
     name = 'neuralmusic_workers_lost_total{"kind": "stream"}'
     until = time.monotonic() + PATIENCE

@@ -81,7 +81,7 @@ def compare(before: Path, work: Work, pairs: int) -> str:
 
 def take_turns(work: Work) -> None:
     """Work at every line that comes in, answer with the milliseconds."""
-    from service.memory import keep_freed_memory
+    from service.machine.memory import keep_freed_memory
 
     keep_freed_memory()  # as the workers do
     turns = _steps() if work == "step" else _windows(work)
@@ -95,7 +95,7 @@ def take_turns(work: Work) -> None:
 
 
 def _windows(work: Work) -> Iterator[Callable[[], int]]:
-    from service.bench import WHOLE_BAND, bench_window
+    from service.bench.window import WHOLE_BAND, bench_window
     from service.doa.presets import preset
     from service.inference.bundle import load_bundle
     from service.inference.classical import ClassicalLocalizer
@@ -121,7 +121,7 @@ def _windows(work: Work) -> Iterator[Callable[[], int]]:
 def _steps() -> Iterator[Callable[[], int]]:
     import soundfile
 
-    from service.bench import bench_pieces, bench_pipeline
+    from service.bench.window import bench_pieces, bench_pipeline
     from service.doa.presets import preset
     from service.inference.bundle import load_bundle
     from service.protocol.client_messages import OutputOptions

@@ -102,7 +102,7 @@ def files(lengths_s: list[int]) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = []
     for seconds in lengths_s:
         with Served("--workers", "1") as served, tempfile.TemporaryDirectory() as folder:
-            (worker,) = served.workers("recording_worker")
+            (worker,) = served.workers("workers.recording")
             path = Path(folder) / "long.wav"
             write_recording(path, seconds)
             at_rest, computed, spent = family_mb(worker), cpu_s(worker), []

@@ -14,7 +14,7 @@ import numpy as np
 import onnx
 from onnx import helper
 
-from service.bench import cpu_ms
+from service.bench.window import cpu_ms
 from service.doa.subspace import APPLICATIONS, SQUARINGS
 from service.inference.engine import Engine
 from service.inference.registry import EMBEDDED_MODELS

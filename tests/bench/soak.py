@@ -226,10 +226,10 @@ class Soak:
                     self.faults[name] = self.faults.get(name, 0) + 1
 
     async def _kill_stream_worker(self) -> None:
-        self._kill("stream_worker")
+        self._kill("workers.stream")
 
     async def _kill_recording_worker(self) -> None:
-        self._kill("recording_worker")
+        self._kill("workers.recording")
 
     def _kill(self, kind: str) -> None:
         workers = self.service.workers(kind)

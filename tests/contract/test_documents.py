@@ -9,10 +9,10 @@ from typing import get_args
 
 import pytest
 
-from model_export.experiments.command import NAMES, RECORDINGS
+from model_export.cli.experiments import NAMES, RECORDINGS
+from model_export.evaluation.results import BEGIN, END, Results
 from model_export.experiments.report import section
 from model_export.experiments.scale import SCALES
-from model_export.results import BEGIN, END, Results
 from service.client import errors as client_errors  # noqa: F401  (part of the tree)
 from service.doa.diagnostics import FindingCode
 from service.errors import DoaError

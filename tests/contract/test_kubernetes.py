@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 import yaml
 
-from service.api.worker_process import END_S
 from service.app import create_app
 from service.server import FAREWELL
 from service.settings import GRACE, PREFIX, Settings, load_settings
+from service.workers.process import END_S
 
 ROOT = Path(__file__).parents[2]
 MANIFESTS: list[dict[str, Any]] = list(

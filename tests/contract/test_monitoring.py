@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from service.inference.results import ModelIdentity
-from service.metrics import Gauges, Metrics
+from service.observability.metrics import Gauges, Metrics
 
 ROOT = Path(__file__).parents[2]
 DOCUMENT = (ROOT / "docs" / "monitoring.md").read_text()

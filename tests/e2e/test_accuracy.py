@@ -10,9 +10,9 @@ import pytest
 import soundfile
 from starlette.testclient import TestClient
 
-from model_export.rooms import RoomSpec
-from model_export.simulate import Protocol, SimulatedScene, simulate_scene
-from model_export.synthesis import synthetic_voice
+from model_export.simulation.protocol import Protocol, SimulatedScene, simulate_scene
+from model_export.simulation.rooms import RoomSpec
+from model_export.simulation.synthesis import synthetic_voice
 from service.app import create_app
 from service.settings import Settings
 

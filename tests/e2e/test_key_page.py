@@ -11,7 +11,7 @@ import pytest
 import soundfile
 from running_service import serving
 
-from service.key_file import Key, new_token, token_sha256
+from service.access.key_file import Key, new_token, token_sha256
 
 expect = pytest.importorskip("playwright.sync_api", reason="needs playwright").expect
 

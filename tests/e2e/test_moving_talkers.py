@@ -14,9 +14,9 @@ import pytest
 import soundfile
 
 from model_export import SAMPLE_RATE
-from model_export.cells import living_room
-from model_export.moving import Arc, MovingScene, Talker, simulate_moving
-from model_export.synthesis import synthetic_voice
+from model_export.evaluation.cells import living_room
+from model_export.simulation.moving import Arc, MovingScene, Talker, simulate_moving
+from model_export.simulation.synthesis import synthetic_voice
 from service.doa.array import MicrophoneArray
 from service.doa.scoring import circular_error
 

@@ -41,11 +41,11 @@ def milliseconds(robots: list[Robot], since: float = 0.0, until: float = np.inf)
 def test_stream_worker_killed(figures: Callable[..., None]) -> None:
     async def scenario(service: Served) -> tuple[list[Robot], float, Footprint, Footprint]:
         async with fleet(service.url, ROBOTS) as robots:
-            await until(lambda: len(service.workers("stream_worker")) == 2, "two workers run")
+            await until(lambda: len(service.workers("workers.stream")) == 2, "two workers run")
             await until(again(robots, time.monotonic()), "all robots hear")
             before = service.footprint()
             killed = time.monotonic()
-            os.kill(service.workers("stream_worker")[0], signal.SIGKILL)
+            os.kill(service.workers("workers.stream")[0], signal.SIGKILL)
             await until(again(robots, killed), "all robots hear again", 6 * BACK_S)
             await until(lambda: service.running_sessions() == ROBOTS, "no session is left over")
             await until(lambda: service.footprint().files <= before.files, "files are closed")
@@ -85,9 +85,9 @@ def test_stream_worker_killed(figures: Callable[..., None]) -> None:
 def test_stream_worker_stopped(figures: Callable[..., None]) -> None:
     async def scenario(service: Served) -> tuple[list[Robot], float]:
         async with fleet(service.url, ROBOTS) as robots:
-            await until(lambda: len(service.workers("stream_worker")) == 2, "two workers run")
+            await until(lambda: len(service.workers("workers.stream")) == 2, "two workers run")
             await until(again(robots, time.monotonic()), "all robots hear")
-            victim = service.workers("stream_worker")[0]
+            victim = service.workers("workers.stream")[0]
             stopped = time.monotonic()
             os.kill(victim, signal.SIGSTOP)
             try:
@@ -110,7 +110,7 @@ def test_stream_worker_stopped(figures: Callable[..., None]) -> None:
 
 def busiest(service: Served) -> int | None:
     """The recordings' worker that has computed most; None where threads do it."""
-    pids = [p for p in children(service.pid) if "stream_worker" not in command_line(p)]
+    pids = [p for p in children(service.pid) if "workers.stream" not in command_line(p)]
     return max(pids, key=cpu_s, default=None)
 
 
@@ -138,7 +138,7 @@ def test_recording_worker_killed(figures: Callable[..., None]) -> None:
             victims[:] = [
                 pid
                 for pid in children(service.pid)
-                if "stream_worker" not in command_line(pid)
+                if "workers.stream" not in command_line(pid)
                 and cpu_s(pid) > started.get(pid, 0) + 0.3
             ]
             return bool(victims)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import service.client.errors  # noqa: F401  (part of the tree)
-from service.api.schemas import LocalizationAnswer
 from service.errors import DoaError
+from service.recordings.answers import LocalizationAnswer
 
 from .http import Answer
 

@@ -17,13 +17,13 @@ pytest.importorskip("ray.serve", reason="needs Ray: pip install 'neuralmusic[ray
 from command_line import run
 from ray_cluster import until
 
-from service.api.options import LocalizeRequest
 from service.batch.archive import find_recordings
 from service.batch.cluster import localize_on_ray
 from service.batch.plan import Plan
 from service.cli.inputs import generous_limits
 from service.doa.array import MicrophoneArray
-from service.inference.results import LocalizeOptions
+from service.recordings.options import LocalizeRequest
+from service.recordings.results import LocalizeOptions
 from service.settings import Settings
 
 pytestmark = pytest.mark.ray

@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 import soundfile
 
-from service.audio import Recording
-from service.bench import bench_pieces, bench_pipeline, bench_window, cpu_ms
+from service.audio.recording import Recording
+from service.bench.window import bench_pieces, bench_pipeline, bench_window, cpu_ms
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.inference.bundle import Bundle
 from service.inference.localizer import localizer_of
-from service.inference.recording import localize_recording
 from service.inference.registry import BundleRegistry
-from service.inference.results import LocalizeOptions
 from service.protocol.client_messages import OutputOptions
+from service.recordings.localize import localize_recording
+from service.recordings.results import LocalizeOptions
 
 SQUARE = preset("respeaker-usb-4mic-v2")
 LINEAR, QUADRATIC = 1.25, 2.2

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from service.cpus import usable_cpus
+from service.access.key_file import new_token
 from service.errors import ConfigError
-from service.key_file import new_token
+from service.machine.cpus import usable_cpus
 from service.settings import Settings, load_settings, variable
 
 

@@ -10,8 +10,8 @@ from fastapi.testclient import TestClient
 from key_file import KeyFile
 from running_service import RunningService
 
+from service.access.key_file import ROLES
 from service.app import create_app
-from service.key_file import ROLES
 from service.settings import Settings
 
 

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 import soundfile
 
-from service.api.options import LocalizeRequest
 from service.batch.plan import Plan
 from service.cli.inputs import generous_limits
 from service.doa.array import MicrophoneArray
-from service.inference.results import LocalizeOptions
+from service.recordings.options import LocalizeRequest
+from service.recordings.results import LocalizeOptions
 from service.settings import Settings
 
 RATE = 16_000

@@ -8,7 +8,7 @@ import numpy as np
 import pyroomacoustics as pra
 import pytest
 
-from service.bench import bench_pieces
+from service.bench.window import bench_pieces
 from service.doa.array import MicrophoneArray
 from service.doa.scoring import circular_error
 from service.doa.stft import Stft

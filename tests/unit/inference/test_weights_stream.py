@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from service.bench import bench_window
+from service.bench.window import bench_window
 from service.doa.presets import preset
 from service.inference.bundle import Bundle
 from service.inference.registry import BundleRegistry

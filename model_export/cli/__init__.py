@@ -1,0 +1,1 @@
+"""The command line, ``python -m model_export COMMAND``: one module per command."""

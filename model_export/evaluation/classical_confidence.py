@@ -1,0 +1,139 @@
+"""What a classical peak is worth: the command ``classical-confidence``.
+
+The classical methods know how far a peak rises above their spectrum's mean, its contrast. A
+confidence is the chance that a source is within 10 degrees: a logistic curve in the contrast,
+fitted here on simulated windows, one for peaks that stand out and one for as many as were asked
+for. Where a spectrum has no direction, as in a pause, the contrast tells nothing, and one number
+is as good as any curve. ``service/inference/classical.py`` holds them.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy.optimize
+from rich.progress import track
+
+from model_export.datasets.speech import load, speech_commands
+from model_export.evaluation.cells import small_room
+from model_export.evaluation.false_sources import isotropic_noise, sensor_noise
+from model_export.evaluation.reliability import Reliability, Reports, judged, reliability
+from model_export.simulation.noise import unit_power
+from model_export.simulation.protocol import Protocol, simulate_scene
+from model_export.simulation.scenes import WINDOW_SAMPLES
+from service.doa.array import MicrophoneArray
+from service.doa.presets import preset
+from service.doa.types import BoolArray, FloatArray
+from service.inference.classical import CHANCES, ClassicalLocalizer
+from service.inference.results import MAX_SOURCES, Method, WindowEstimate
+
+ARRAYS = ("respeaker-usb-4mic-v2", "respeaker-6mic-circular", "av163-circle8")
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Audio and its talkers."""
+
+    array: MicrophoneArray
+    audio: FloatArray
+    """(N, T)"""
+    azimuth: FloatArray
+    """(M,) radians"""
+    told: int
+    """How many sources are asked for: M, or in a pause those who talk before and after it"""
+
+
+def windows(speech: Sequence[FloatArray], count: int, seed: int) -> Iterator[Window]:
+    """One to three talkers at -5 to 30 dB, half of them in the paper's room; a quarter pauses."""
+    for index in track(range(count), description="windows"):
+        rng = np.random.default_rng([seed, 5, index])
+        talkers, name = 1 + index % 3, ARRAYS[index // 3 % len(ARRAYS)]
+        if index % 4 == 3:
+            array = preset(name)
+            noise = (sensor_noise, isotropic_noise)[index // 4 % 2]
+            audio = 0.02 * unit_power(noise(rng, array.positions, WINDOW_SAMPLES))
+            yield Window(array, audio.astype(np.float32), np.zeros(0), talkers)
+            continue
+        rt60 = float(rng.uniform(0.15, 0.7)) if index % 2 else None
+        protocol = Protocol(
+            num_sources=talkers,
+            array=name,
+            room=small_room(rt60) if rt60 else None,
+            orders=(0, 4),
+            snr_db=float(rng.uniform(-5, 30)),
+            continuous=bool(rng.random() < 0.5),
+        )
+        scene = simulate_scene(protocol, speech, [seed, 6, index])
+        yield Window(scene.array, scene.audio, scene.azimuth, talkers)
+
+
+def contrasts(estimate: WindowEstimate) -> FloatArray:
+    """(K,) of the reported sources: 1 - mean / peak."""
+    spectrum = estimate.spectrum
+    step = 2 * np.pi / spectrum.size
+    places = [round(source.azimuth / step) % spectrum.size for source in estimate.sources]
+    return 1 - spectrum.mean() / np.maximum(spectrum[places], 1e-9)
+
+
+def fitted(contrast: FloatArray, right: BoolArray) -> tuple[float, float]:
+    """Slope and middle of 1 / (1 + exp(-slope (contrast - middle))), the likeliest curve."""
+
+    def loss(curve: FloatArray) -> float:
+        logits = curve[0] * (contrast - curve[1])
+        return float(np.logaddexp(0, np.where(right, -logits, logits)).mean())
+
+    best = scipy.optimize.minimize(loss, (10.0, 0.4), bounds=[(0, 100), (-1, 2)])
+    return float(best.x[0]), float(best.x[1])
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Print every method's curve and how reliable it makes the confidences."""
+    parser = argparse.ArgumentParser(
+        prog="python -m model_export.evaluation.classical_confidence", description=__doc__
+    )
+    parser.add_argument("--speech", type=Path, required=True, help="folder of Speech Commands")
+    parser.add_argument("--windows", type=int, default=1800)
+    parser.add_argument("--seed", type=int, default=11)
+    arguments = parser.parse_args(argv)
+    speech = load(speech_commands(arguments.speech, "development"))
+    found: dict[tuple[Method, str], list[tuple[FloatArray, Reports]]] = {}
+    for window in windows(speech, arguments.windows, arguments.seed):
+        for method, chances in CHANCES.items():
+            localizer = ClassicalLocalizer(method, window.array)
+            (counted,) = localizer.estimate(window.audio[None], None, MAX_SOURCES)
+            (told,) = localizer.estimate(window.audio[None], window.told, MAX_SOURCES)
+            undirected = chances.undirected in (each.confidence for each in told.sources)
+            directed = "without" if undirected else "with"
+            for kind, estimate in (
+                ("counted", counted),
+                (f"asked for in a spectrum {directed} a direction", told),
+            ):
+                judgement = judged(estimate.sources, window.azimuth)
+                found.setdefault((method, kind), []).append((contrasts(estimate), judgement))
+    for (method, kind), answers in found.items():
+        contrast = np.concatenate([each for each, _ in answers])
+        reports = [report for _, of_window in answers for report in of_window]
+        right = np.array([right for _, right in reports])
+        slope, middle = fitted(contrast, right)
+        curve = f"slope {slope:.2f}, middle {middle:.3f}; all alike {right.mean():.2f}"
+        print(f"{method}, {kind}: {curve}")
+        print(_table(reliability(reports, arguments.windows)))
+
+
+def _table(found: Reliability) -> str:
+    """What confidences the service gives now, and what they are worth."""
+    lines = [f"  calibration error {found.calibration_error:.3f}"]
+    lines += [
+        f"  {bin_.low:.1f} to {bin_.high:.1f}: {bin_.sources:4} sources, "
+        f"mean {bin_.mean_confidence:.2f}, right {bin_.share_right:.2f}"
+        for bin_ in found.bins
+    ]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,288 @@
+"""Which mistakes in recordings are named: the command ``mistakes``.
+
+Real speech in a simulated room, heard by a board of four microphones, with one mistake each made
+to the recording or to what is said of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import scipy.signal
+import soxr
+
+from model_export import SAMPLE_RATE
+from model_export.datasets.speech import librispeech, load
+from model_export.evaluation.cells import living_room
+from model_export.simulation.noise import unit_power
+from model_export.simulation.rooms import impulse_responses
+from model_export.simulation.scenes import convolve
+from service.cli.inputs import choose_channels, open_recording
+from service.doa.array import SPEED_OF_SOUND, MicrophoneArray
+from service.doa.diagnostics import ChannelDiagnostics
+from service.doa.presets import preset
+from service.doa.steering import unit_vectors
+from service.doa.types import FloatArray
+from service.errors import InvalidGeometry
+
+ARRAY = "respeaker-usb-4mic-v2"
+RT60 = 0.3
+SNR_DB = 20.0
+DISTANCE = (0.7, 2.0)
+"""Metres"""
+AZIMUTHS = np.deg2rad(np.arange(8) * 45.0 + 10.0)
+LEVEL = 0.05
+"""RMS of the microphones, of full scale"""
+LATENCY_S = 0.016
+"""Of a device's own processing"""
+DOCUMENT = Path("docs/diagnostics.md")
+
+
+@dataclass(frozen=True, slots=True)
+class Talk:
+    """What the microphones hear, before any mistake."""
+
+    speech: FloatArray
+    """(N, T) of unit power, without noise"""
+    azimuth: FloatArray
+    """(P,) radians of the talker's places, one after another for equal times"""
+    seed: tuple[int, ...]
+
+    def noisy(self, speech: FloatArray | None = None) -> FloatArray:
+        """(N, T) float32 with the microphones' own noise, at a level of recordings."""
+        speech = self.speech if speech is None else speech
+        rng = np.random.default_rng(self.seed)
+        noise = 10 ** (-SNR_DB / 20) * rng.standard_normal(speech.shape, dtype=np.float32)
+        return np.float32(LEVEL) * (speech + noise)
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """A recording that is wrong, or an array that is not the one that recorded."""
+
+    name: str
+    make: Callable[[Talk], FloatArray]
+    """Audio (4, T) as it is judged"""
+    geometry: float = 1.0
+    """Size of the array that is named against the one that recorded"""
+
+
+def correct(talk: Talk) -> FloatArray:
+    return talk.noisy()
+
+
+def ordered(order: Sequence[int], talk: Talk) -> FloatArray:
+    return talk.noisy()[list(order)]
+
+
+def with_dead_channel(talk: Talk) -> FloatArray:
+    audio = talk.noisy()
+    audio[2] = 0
+    return audio
+
+
+def with_late_channel(talk: Talk) -> FloatArray:
+    audio = talk.noisy()
+    audio[1, 1:] = audio[1, :-1].copy()
+    return audio
+
+
+def first_of_six(process: Callable[[Talk, FloatArray], FloatArray], talk: Talk) -> FloatArray:
+    """Channels 0 to 3 of a device that has its processed channel before the microphones."""
+    raw = talk.noisy()
+    return np.concatenate([process(talk, raw)[None], raw[:3]])
+
+
+def beamformed(talk: Talk, raw: FloatArray) -> FloatArray:
+    """(T,) delay and sum towards the talker."""
+    parts = np.array_split(raw, len(talk.azimuth), axis=1)
+    positions = preset(ARRAY).positions
+    beams = []
+    for part, azimuth in zip(parts, talk.azimuth, strict=True):
+        advance = positions @ unit_vectors(np.array(azimuth)) / SPEED_OF_SOUND
+        omega = 2 * np.pi * np.fft.rfftfreq(part.shape[1], 1 / SAMPLE_RATE)
+        aligned = np.fft.rfft(part) * np.exp(-1j * omega * advance[:, None])
+        beams.append(np.fft.irfft(aligned.mean(axis=0), part.shape[1]))
+    return np.concatenate(beams).astype(np.float32)
+
+
+def enhanced(latency_s: float, talk: Talk, raw: FloatArray) -> FloatArray:
+    """The beam after noise suppression and automatic gain, ``latency_s`` later."""
+    options = {"fs": SAMPLE_RATE, "nperseg": 512, "noverlap": 384}
+    _, _, spectra = scipy.signal.stft(beamformed(talk, raw), **options)
+    power = np.abs(spectra) ** 2
+    noise = np.quantile(power, 0.1, axis=1, keepdims=True) * 2
+    smooth = scipy.signal.lfilter([0.3], [1, -0.7], power, axis=1)
+    gain = np.clip(1 - 2 * noise / np.maximum(smooth, 1e-12), 0.1, 1)
+    _, audio = scipy.signal.istft(spectra * gain, **options)
+    audio = audio[: raw.shape[1]]
+    envelope = np.sqrt(scipy.signal.lfilter([1e-4], [1, -(1 - 1e-4)], audio**2) + 1e-8)
+    audio = np.clip(audio * np.minimum(2 * LEVEL / envelope, 8), -0.9, 0.9)
+    late = round(latency_s * SAMPLE_RATE)
+    result = np.zeros(raw.shape[1], dtype=np.float32)
+    result[late : len(audio)] = audio[: len(audio) - late]
+    return result
+
+
+def at_another_rate(rate: int, talk: Talk) -> FloatArray:
+    """The recording at ``rate``, read as if it were at 16 kHz; its noise fills its band."""
+    resampled = soxr.resample(talk.speech.T, SAMPLE_RATE, rate).T
+    return talk.noisy(resampled)[:, : talk.speech.shape[1]]
+
+
+MISTAKES = (
+    Mistake("none", correct),
+    Mistake("channels 1 and 2 swapped", partial(ordered, (0, 2, 1, 3))),
+    Mistake("channels rotated by one", partial(ordered, (1, 2, 3, 0))),
+    Mistake("channels 0 to 3 of six, 0 a beamformer's", partial(first_of_six, beamformed)),
+    Mistake(
+        "the same with noise suppression and gain",
+        partial(first_of_six, partial(enhanced, 0.0)),
+    ),
+    Mistake(
+        "the same 16 ms late",
+        partial(first_of_six, partial(enhanced, LATENCY_S)),
+    ),
+    Mistake("a dead channel", with_dead_channel),
+    Mistake("geometry in centimetres", correct, geometry=100.0),
+    Mistake("geometry of 64 mm instead of 45.7", correct, geometry=64 / 45.7),
+    Mistake("48 kHz declared as 16", partial(at_another_rate, 48_000)),
+    Mistake("44.1 kHz declared as 16", partial(at_another_rate, 44_100)),
+    Mistake("32 kHz declared as 16", partial(at_another_rate, 32_000)),
+    Mistake("one channel late by a sample", with_late_channel),
+)
+
+
+def talk_of(
+    speech: Sequence[FloatArray], azimuth: FloatArray, seconds: float, seed: tuple[int, ...]
+) -> Talk:
+    """A talker who speaks from one place after another."""
+    rng = np.random.default_rng(seed)
+    array = preset(ARRAY)
+    parts = []
+    length = round(seconds * SAMPLE_RATE / len(azimuth))
+    for place in azimuth:
+        source = rng.uniform(*DISTANCE) * unit_vectors(np.array([place]))
+        (responses,) = impulse_responses(living_room(RT60), array.positions, source)
+        clips = [speech[index] for index in rng.permutation(len(speech))]
+        dry = np.concatenate(clips[: 1 + round(seconds / 5)])[:length]
+        parts.append(convolve(dry, responses)[:, :length])
+    return Talk(unit_power(np.concatenate(parts, axis=1)), azimuth, seed)
+
+
+def codes(mistake: Mistake, talk: Talk) -> frozenset[str]:
+    """What is said of a recording with a mistake: findings, or that the geometry is refused."""
+    positions = preset(ARRAY).positions * mistake.geometry
+    try:
+        array = MicrophoneArray("named", positions)
+    except InvalidGeometry as error:
+        return frozenset({error.code})
+    diagnostics = ChannelDiagnostics(SAMPLE_RATE, array.num_microphones)
+    diagnostics.add(mistake.make(talk))
+    return frozenset(finding.code for finding in diagnostics.findings(array))
+
+
+def talks(speech: Sequence[FloatArray], seconds: float, seed: int) -> list[Talk]:
+    """One talk from each of ``AZIMUTHS``, and four of a talker who walks round all of them."""
+    count = len(AZIMUTHS)
+    standing = [talk_of(speech, AZIMUTHS[i : i + 1], seconds, (seed, 0, i)) for i in range(count)]
+    orders = [np.random.default_rng((seed, i)).permutation(count) for i in range(4)]
+    walking = [
+        talk_of(speech, AZIMUTHS[order], seconds, (seed, 1, i)) for i, order in enumerate(orders)
+    ]
+    return standing + walking
+
+
+def row(mistake: Mistake, found: Sequence[Sequence[frozenset[str]]]) -> str:
+    """A row of the table: how many recordings of each length raised a finding, and which ones."""
+    cells = [f"{sum(map(bool, each))} of {len(each)}" for each in found]
+    raised = Counter(code for each in found for raised in each for code in raised)
+    named = ", ".join(f"`{code}` {count}" for code, count in raised.most_common()) or "nothing"
+    return f"| {mistake.name} | {' | '.join(cells)} | {named} |"
+
+
+def real_findings(folder: Path) -> dict[str, frozenset[str]]:
+    """What is said of real recordings of the array, by their names."""
+    array = preset(ARRAY)
+    found: dict[str, frozenset[str]] = {}
+    for path in sorted((*folder.glob("*.flac"), *folder.glob("*.wav"))):
+        with open_recording(path) as recording:
+            channels = choose_channels(recording, array, None)
+            diagnostics = ChannelDiagnostics(recording.sample_rate, len(channels), channels)
+            for block in recording.blocks(channels, recording.sample_rate):
+                diagnostics.add(block)
+        found[path.stem] = frozenset(finding.code for finding in diagnostics.findings(array))
+    return found
+
+
+def document(arguments: argparse.Namespace) -> str:
+    """``docs/diagnostics.md``, measured."""
+    speech = load(librispeech(arguments.speech, "heldout"))
+    lengths = {seconds: talks(speech, seconds, arguments.seed) for seconds in arguments.seconds}
+    rows = [
+        row(mistake, [[codes(mistake, talk) for talk in each] for each in lengths.values()])
+        for mistake in MISTAKES
+    ]
+    columns = " | ".join(f"{seconds:g} s" for seconds in lengths)
+    head = f"| mistake | {columns} | findings |\n|---|{'---|' * len(lengths)}---|"
+    count = sum(len(each) for each in lengths.values()) // len(lengths)
+    parts = [HEAD.format(array=ARRAY, rt60=RT60, snr=SNR_DB, count=count), head, *rows]
+    if arguments.recordings:
+        real = real_findings(arguments.recordings)
+        false = {name: sorted(found) for name, found in real.items() if found}
+        parts.append(
+            f"\nOf {len(real)} real recordings of this array "
+            f"{f'these raised findings: {false}' if false else 'none raised any finding'}."
+        )
+    return "\n".join([*parts, FOOT])
+
+
+HEAD = """# Mistakes in recordings
+
+What `neuralmusic check`, the `warnings` of `POST /localize` and those of streams say when a set-up
+is wrong. Measured in simulation: LibriSpeech talkers of speakers that no model was trained on,
+{snr:g} dB above the microphones' own noise, 0.7 to 2 m from `{array}` in a room of 6 x 5 x 3 m with
+an RT60 of {rt60:g} s; {count} recordings of each length: in eight of them a talker stands in one of
+eight directions, in the others one walks round all of them. One mistake is made at a time.
+
+`python -m model_export.evaluation.mistakes --speech FOLDER` (LibriSpeech) writes this page.
+"""
+
+FOOT = """
+What cannot be told from sound alone:
+
+- **A square whose channels are rotated by one** is the same square turned by 90 degrees: every
+  sound fits it as well. Clap once from a known direction.
+- **One beam among the microphones**, without noise suppression or gain, that follows a walking
+  talker is nearly a microphone itself, and is named less often than the channels that devices
+  deliver.
+
+A smaller array hears smaller delays, and so does an array of the right size from talkers above it:
+64 mm instead of 45.7 mm is a talker at 44 degrees of elevation. What tells them apart is the
+reverberation, which comes from everywhere; without any (outdoors), or beside a loud fan, nothing is
+said.
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Measure and write the page."""
+    parser = argparse.ArgumentParser(
+        prog="python -m model_export.evaluation.mistakes", description=__doc__
+    )
+    parser.add_argument("--speech", type=Path, required=True, help="folder of LibriSpeech")
+    parser.add_argument("--recordings", type=Path, help="real recordings of the array, correct")
+    parser.add_argument("--seconds", type=float, nargs="+", default=[10.0, 30.0])
+    parser.add_argument("--seed", type=int, default=3)
+    parser.add_argument("--out", type=Path, default=DOCUMENT)
+    arguments = parser.parse_args(argv)
+    arguments.out.write_text(document(arguments))
+
+
+if __name__ == "__main__":
+    main()

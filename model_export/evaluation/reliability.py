@@ -1,0 +1,152 @@
+"""Reliability: is a reported source as often right as its confidence says?
+
+The scenes mix what changes a confidence: one to three talkers, -5 to 30 dB, the paper's room with
+image order 0 to 4 or a room with an RT60 of 0.2 to 0.6 s; the number of talkers is unknown. A
+reported source is right if it is within 10 degrees of a talker that no other one is matched to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from model_export.evaluation.cells import small_room
+from model_export.evaluation.workers import Inputs, Workers
+from model_export.simulation.protocol import Protocol, SimulatedScene, simulate_scene
+from service.doa.scoring import match
+from service.doa.types import BoolArray, FloatArray
+from service.inference.results import MAX_SOURCES, Source
+
+HIT_DEG = 10.0
+NUM_BINS = 10
+Reports = list[tuple[float, bool]]
+"""Confidence of every reported source and whether it is right"""
+
+
+@dataclass(frozen=True, slots=True)
+class Bin:
+    """The reported sources whose confidences lie in one interval."""
+
+    low: float
+    high: float
+    sources: int
+    mean_confidence: float
+    share_right: float
+
+
+@dataclass(frozen=True, slots=True)
+class Reliability:
+    """Confidences of one method against the truth."""
+
+    scenes: int
+    calibration_error: float
+    """Expected calibration error: distance of confidence and share right, weighted by sources"""
+    bins: list[Bin]
+    """Those that hold any source, least confident first"""
+
+    @classmethod
+    def of(cls, fields: dict[str, Any]) -> Reliability:
+        """From what ``dataclasses.asdict`` made of one."""
+        bins = [Bin(**bin_) for bin_ in fields["bins"]]
+        return cls(**{**fields, "bins": bins})
+
+    @property
+    def sources(self) -> int:
+        """Reported in all scenes together."""
+        return sum(bin_.sources for bin_ in self.bins)
+
+    def section(self) -> str:
+        """A sentence and a Markdown table with a row per bin."""
+        lines = [
+            f"{self.sources} sources reported in {self.scenes} scenes of 1 to 3 talkers at -5 to "
+            "30 dB, half of them in the",
+            "paper's room with order 0 to 4, half with an RT60 of 0.2 to 0.6 s, count unknown. "
+            "Expected calibration",
+            f"error: {self.calibration_error:.3f}.",
+            "",
+            "| confidence | reported sources | mean confidence | share within 10° |",
+            "|---|---|---|---|",
+        ]
+        lines += [
+            f"| {bin_.low:.1f} to {bin_.high:.1f} | {bin_.sources} | {bin_.mean_confidence:.3f} "
+            f"| {bin_.share_right:.3f} |"
+            for bin_ in self.bins
+        ]
+        return "\n".join(lines) + "\n"
+
+
+def measure_reliability(workers: Workers, scenes: int) -> dict[str, Reliability]:
+    """Every bundle's reliability on the ReSpeaker square, by the bundle's name."""
+    answered = workers.map(answer_mixed_scene, range(scenes), "reliability")
+    return {
+        name: reliability([report for scene in answered for report in scene[name]], scenes)
+        for name in answered[0]
+    }
+
+
+def answer_mixed_scene(inputs: Inputs, index: int) -> dict[str, Reports]:
+    """What every bundle reports of one scene."""
+    scene = mixed_scene(inputs, index)
+    reports = {}
+    for name, localizer in inputs.methods.localizers(scene.array).items():
+        (estimate,) = localizer.estimate(scene.audio[None], None, MAX_SOURCES)
+        reports[name] = judged(estimate.sources, scene.azimuth)
+    return reports
+
+
+def mixed_scene(inputs: Inputs, index: int) -> SimulatedScene:
+    """The scene of this index."""
+    rng = np.random.default_rng([inputs.seed, 5, index])
+    rt60 = float(rng.uniform(0.2, 0.6)) if index % 2 else None
+    protocol = Protocol(
+        num_sources=1 + index % 3,
+        room=small_room(rt60) if rt60 else None,
+        orders=(0, 4),
+        snr_db=float(rng.uniform(-5, 30)),
+    )
+    return simulate_scene(protocol, inputs.speech, [inputs.seed, 6, index])
+
+
+def judged(sources: Sequence[Source], truth: FloatArray) -> Reports:
+    """Which of the sources are right, talkers at ``truth`` (M,) radians."""
+    pairs = match(np.array([source.azimuth for source in sources]), truth)
+    right = {index for index, _, error in pairs if error <= np.deg2rad(HIT_DEG)}
+    return [(source.confidence, index in right) for index, source in enumerate(sources)]
+
+
+def reliability(reports: Reports, scenes: int) -> Reliability:
+    """Ten bins of equal width, and the error over them."""
+    confidence = np.array([confidence for confidence, _ in reports])
+    right = np.array([right for _, right in reports], dtype=bool)
+    bins = confidence_bins(confidence, right)
+    return Reliability(scenes, calibration_error(bins), bins)
+
+
+def confidence_bins(confidence: FloatArray, right: BoolArray) -> list[Bin]:
+    """Bins of confidences (K,) in [0, 1] with the truth (K,), empty ones left out."""
+    index = np.minimum((confidence * NUM_BINS).astype(int), NUM_BINS - 1)
+    return [
+        Bin(
+            low=round(float(bin_ / NUM_BINS), 6),
+            high=round(float((bin_ + 1) / NUM_BINS), 6),
+            sources=int((index == bin_).sum()),
+            mean_confidence=float(confidence[index == bin_].mean()),
+            share_right=float(right[index == bin_].mean()),
+        )
+        for bin_ in np.unique(index)
+    ]
+
+
+def calibration_error(bins: Sequence[Bin]) -> float:
+    """Expected calibration error, in [0, 1]; 0 where nothing was reported.
+
+    References
+    ----------
+    Guo, Pleiss, Sun, Weinberger, 2017, On calibration of modern neural networks, eq. (3).
+    """
+    total = sum(bin_.sources for bin_ in bins)
+    gaps = [bin_.sources * abs(bin_.mean_confidence - bin_.share_right) for bin_ in bins]
+    return float(sum(gaps) / total) if total else 0.0

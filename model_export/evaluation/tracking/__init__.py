@@ -1,0 +1,1 @@
+"""Scores of tracked streams, simulated and real."""

@@ -1,0 +1,87 @@
+"""Worker processes of an evaluation: results do not depend on how many there are."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from types import TracebackType
+from typing import Self, TypeVar
+
+from rich.progress import track
+
+from model_export.evaluation.methods import Methods
+from service.doa.types import FloatArray
+
+CHUNK = 8
+"""Tasks that a process takes at once"""
+
+TaskT = TypeVar("TaskT")
+ResultT = TypeVar("ResultT")
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What every task reads; each process has its own."""
+
+    methods: Methods
+    speech: Sequence[FloatArray]
+    seed: int
+
+
+class Workers:
+    """A number of processes with one thread each; a single one is this process itself."""
+
+    def __init__(self, inputs: Inputs, count: int = 1) -> None:
+        self.inputs = inputs
+        self._count = count
+        # Not forked: numpy in a fresh process reads its number of threads from the environment.
+        self._pool = (
+            ProcessPoolExecutor(
+                count, multiprocessing.get_context("spawn"), initializer=_begin, initargs=(inputs,)
+            )
+            if count > 1
+            else None
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._pool:
+            self._pool.shutdown(cancel_futures=True)
+
+    def map(
+        self, run: Callable[[Inputs, TaskT], ResultT], tasks: Sequence[TaskT], description: str
+    ) -> list[ResultT]:
+        """Every task's result, in the tasks' order; ``run`` is a function of a module."""
+        if not tasks:
+            return []
+        results: Iterable[ResultT]
+        if self._pool is None:
+            results = (run(self.inputs, task) for task in tasks)
+        else:
+            chunk = max(1, min(CHUNK, len(tasks) // (4 * self._count)))
+            results = self._pool.map(partial(_run, run), tasks, chunksize=chunk)
+        return list(track(results, total=len(tasks), description=description))
+
+
+_inputs: Inputs | None = None
+"""Of a worker process"""
+
+
+def _begin(inputs: Inputs) -> None:
+    global _inputs
+    _inputs = inputs
+
+
+def _run(run: Callable[[Inputs, TaskT], ResultT], task: TaskT) -> ResultT:
+    assert _inputs is not None
+    return run(_inputs, task)

@@ -1,0 +1,101 @@
+"""The training model inside of a bundle, ``parameters.npz``: what fine-tuning starts from.
+
+The ONNX graphs cannot be trained further, and users have no run folder. The file holds every
+tensor of the trained networks under its ``state_dict`` name behind ``model.`` or
+``source_count.``, BatchNorm's statistics included; which networks they belong to follows from the
+training configuration in the manifest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from model_export.training.config import TrainingConfig
+from model_export.training.counting import CandidateCountNetwork
+from model_export.training.task import Task, task_of
+from service.doa.types import FloatArray
+from service.inference.bundle import PARAMETERS, Bundle, read_arrays
+
+
+@dataclass(frozen=True, slots=True)
+class TrainedModel:
+    """A bundle's networks as training has them, in evaluation mode."""
+
+    config: TrainingConfig
+    task: Task
+    source_count: CandidateCountNetwork | None
+    """Of the `weights` variant; `regression` counts inside of its model"""
+
+
+def parameter_arrays(**networks: nn.Module) -> dict[str, FloatArray]:
+    """Every tensor of the networks' states by ``<network>.<name in its state_dict>``."""
+    return {
+        f"{network}.{name}": tensor.detach().cpu().numpy()
+        for network, module in networks.items()
+        for name, tensor in module.state_dict().items()
+    }
+
+
+def trained_model(bundle: Bundle) -> TrainedModel:
+    """The model that a bundle was exported from.
+
+    Raises
+    ------
+    ValueError
+        If the bundle holds no parameters, or those of networks that this version does not build.
+    """
+    manifest = bundle.manifest
+    if PARAMETERS not in manifest.files:
+        raise ValueError(
+            f"the bundle {manifest.name} holds no {PARAMETERS} and cannot be fine-tuned: it was "
+            "exported before there was one; export its run again, or take a newer bundle"
+        )
+    path = bundle.folder / PARAMETERS
+    arrays = read_arrays(path.read_bytes(), path)
+    try:
+        config = TrainingConfig.from_dict(manifest.training["config"])
+        task = task_of(config)
+        _load(task.model, "model", arrays)
+        source_count = None
+        if config.variant == "weights":
+            source_count = CandidateCountNetwork()
+            _load(source_count, "source_count", arrays)
+    except (KeyError, TypeError, RuntimeError) as error:  # RuntimeError: load_state_dict's
+        raise ValueError(
+            f"{PARAMETERS} of the bundle {manifest.name} does not fit the networks of this "
+            f"version of model_export: {error}"
+        ) from error
+    return TrainedModel(config, task, source_count)
+
+
+def source_count_of(folder: Path) -> CandidateCountNetwork:
+    """The source-count network of a `weights` bundle, whatever its other networks are.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds no such network.
+    """
+    path = folder / PARAMETERS
+    network = CandidateCountNetwork()
+    try:
+        _load(network, "source_count", read_arrays(path.read_bytes(), path))
+    except (OSError, RuntimeError) as error:  # RuntimeError: load_state_dict's
+        raise ValueError(f"{folder} holds no source count of a weights bundle: {error}") from error
+    return network
+
+
+def _load(module: nn.Module, network: str, arrays: Mapping[str, FloatArray]) -> None:
+    prefix = f"{network}."
+    state = {
+        name.removeprefix(prefix): torch.from_numpy(array)
+        for name, array in arrays.items()
+        if name.startswith(prefix)
+    }
+    module.load_state_dict(state)
+    module.eval()

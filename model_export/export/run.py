@@ -1,0 +1,108 @@
+"""From a run folder to a bundle: which variant it is, the source count, the training record."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from model_export.export.bundle import digest
+from model_export.export.bundle_place import check_replaceable, in_the_place_of
+from model_export.export.parameters import source_count_of
+from model_export.export.regression import export_regression
+from model_export.export.weights import candidate_search, export_weights
+from model_export.simulation.scenes import RoomBank
+from model_export.training.counting import CandidateCountNetwork, collect, train_counting
+from model_export.training.regression import RegressionTask
+from model_export.training.task import WeightsTask
+from model_export.training.train import load_run
+from service.doa.types import FloatArray
+from service.inference.bundle import read_manifest
+from service.inference.manifest import Manifest
+
+DESCRIPTIONS = {
+    "weights": "Time-frequency weights from array-independent features: works on any array.",
+    "regression": "The paper's networks: covariances from magnitudes and phases, for one array.",
+}
+
+
+def export_run(
+    run: Path,
+    out: Path,
+    *,
+    name: str | None,
+    version: str,
+    rooms: Path,
+    speech: Sequence[FloatArray],
+    validation_speech: Sequence[FloatArray],
+    counting_scenes: int,
+    source_count: Path | None = None,
+    noises: Sequence[FloatArray] = (),
+    data: Sequence[str],
+    licences: Sequence[str],
+) -> Manifest:
+    """Export the run's checkpoint as a bundle; a `weights` run gets its source count first.
+
+    ``source_count`` is the folder of a bundle whose source count is taken instead: that of the
+    teacher, for a run that was taught to give the same candidates. ``out`` may hold a bundle, which
+    is replaced once the new one has passed its tests.
+
+    Raises
+    ------
+    ValueError
+        If ``out`` holds anything else, the run cannot be exported, or the exported networks do not
+        give what the trained ones do.
+    """
+    check_replaceable(out)
+    config, task, step = load_run(run)
+    if config.variant == "sscl":
+        raise ValueError(f"{run} only pretrains an encoder: train 'paper' from it and export that")
+    training: dict[str, Any] = {
+        "config": config.as_dict(),
+        "steps": step,
+        "scenes": step * config.batch_size,
+        "parameters": digest(task.model.state_dict()),
+        "data": list(data),
+    }
+    fields = {
+        "name": name or config.name,
+        "version": version,
+        "description": DESCRIPTIONS[config.variant],
+        "training": training,
+        "scores": {},
+        "licences": list(licences),
+    }
+    if isinstance(task, RegressionTask):
+        with in_the_place_of(out) as folder:
+            return export_regression(task, folder, fields)
+    assert isinstance(task, WeightsTask)
+    if source_count is not None:
+        network = source_count_of(source_count)
+        training["counting_from"] = read_manifest(source_count)[0].training["parameters"]
+    else:
+        network, scores = _count_sources(
+            task, rooms, speech, validation_speech, noises, counting_scenes, config.seed
+        )
+        training["counting_scenes"] = counting_scenes
+        training["counting_validation"] = {key: round(value, 4) for key, value in scores.items()}
+    with in_the_place_of(out) as folder:
+        return export_weights(task.model, network, folder, fields)
+
+
+def _count_sources(
+    task: WeightsTask,
+    rooms: Path,
+    speech: Sequence[FloatArray],
+    validation_speech: Sequence[FloatArray],
+    noises: Sequence[FloatArray],
+    scenes: int,
+    seed: int,
+) -> tuple[CandidateCountNetwork, dict[str, float]]:
+    with tempfile.TemporaryDirectory() as folder:
+        search = candidate_search(task.model, Path(folder))
+        data = collect(search, RoomBank(rooms), speech, scenes, seed, noises=noises)
+        bank = RoomBank(rooms, validation=True)
+        fewer = max(16, scenes // 8)
+        held = collect(search, bank, validation_speech, fewer, seed + 1, noises=noises)
+    return train_counting(data, held)

@@ -1,0 +1,1 @@
+"""A bundle fitted to recordings of one room and array."""

@@ -1,0 +1,1 @@
+"""Rooms, arrays, noises, and the scenes that are made of them."""

@@ -1,0 +1,248 @@
+"""Rooms: seeded room impulse responses by the image-source method (pyroomacoustics).
+
+A room here is one array at one place and a handful of source positions. Responses are simulated
+once and kept in chunk files, since they cost a thousand times more than the convolutions that
+training repeats with other speech and noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyroomacoustics as pra
+from rich.progress import track
+
+from model_export import SAMPLE_RATE
+from model_export.simulation.arrays import random_array
+from service.doa.array import SPEED_OF_SOUND
+from service.doa.steering import unit_vectors
+from service.doa.types import FloatArray
+
+RESPONSE_SAMPLES = 8000
+"""Kept length of a response, 0.5 s; what comes later is 30 dB down in all but the deadest cases."""
+MAX_ORDER = 45
+"""Cap on the image order: beyond it the cost explodes and the tail is diffuse anyway."""
+CHUNK_ROOMS = 32
+SOURCES_PER_ROOM = 4
+NOISE_SAMPLES = 16640
+NUM_WAVES = 48
+"""Plane waves of a diffuse field"""
+CHUNK_KEYS = ("responses", "positions", "azimuth", "elevation", "distance", "diffuse", "room")
+
+
+@dataclass(frozen=True, slots=True)
+class RoomSpec:
+    """A shoebox room with either rigid walls and a maximum image order, or an RT60."""
+
+    size: tuple[float, float, float]
+    """Metres"""
+    centre: tuple[float, float, float]
+    """Array centre in metres"""
+    max_order: int | None = None
+    """Image order with walls that absorb nothing, as the paper's protocol has it"""
+    rt60: float | None = None
+    """Seconds; 0 is an anechoic room"""
+
+
+PAPER_ROOM_SIZE = (7.0, 7.0, 3.0)
+PAPER_ARRAY_CENTRE = (3.0, 3.0, 1.0)
+
+
+def paper_room(max_order: int) -> RoomSpec:
+    """The paper's 7 x 7 x 3 m room with rigid walls and the array at (3, 3, 1)."""
+    return RoomSpec(PAPER_ROOM_SIZE, PAPER_ARRAY_CENTRE, max_order=max_order)
+
+
+def impulse_responses(
+    room: RoomSpec,
+    positions: FloatArray,
+    sources: FloatArray,
+    *,
+    longest: int | None = None,
+    highest_order: int = MAX_ORDER,
+) -> FloatArray:
+    """Responses from every source to every microphone.
+
+    Parameters
+    ----------
+    room : RoomSpec
+    positions : (N, 3) float
+        Microphones relative to the array centre, metres.
+    sources : (S, 3) float
+        Sources relative to the array centre, metres.
+    longest : int, optional
+        Samples to cut or pad to; by default the longest response's length.
+    highest_order : int
+        Image order at which the reflections of a room with an RT60 end.
+
+    Returns
+    -------
+    responses : (S, N, T) float32
+    """
+    if room.max_order is not None:
+        shoebox = pra.ShoeBox(room.size, fs=SAMPLE_RATE, max_order=room.max_order)
+    elif room.rt60:
+        absorption, order = pra.inverse_sabine(room.rt60, room.size)
+        shoebox = pra.ShoeBox(
+            room.size,
+            fs=SAMPLE_RATE,
+            materials=pra.Material(absorption),
+            max_order=min(order, highest_order),
+        )
+    else:
+        shoebox = pra.ShoeBox(room.size, fs=SAMPLE_RATE, max_order=0)
+    centre = np.asarray(room.centre)
+    shoebox.add_microphone_array((positions + centre).T)
+    for source in sources:
+        shoebox.add_source(source + centre)
+    shoebox.compute_rir()
+    length = longest or max(len(rir) for rirs in shoebox.rir for rir in rirs)
+    responses = np.zeros((len(sources), len(positions), length), dtype=np.float32)
+    for microphone, rirs in enumerate(shoebox.rir):
+        for source, rir in enumerate(rirs):
+            kept = rir[:length]
+            responses[source, microphone, : len(kept)] = kept
+    return responses
+
+
+def random_room(rng: np.random.Generator) -> RoomSpec:
+    """Half the paper's kind (rigid walls, low order), half with an RT60 of 0 to 0.8 s."""
+    if rng.random() < 0.25:
+        return paper_room(int(rng.integers(0, 5)))
+    size = (rng.uniform(3, 10), rng.uniform(3, 8), rng.uniform(2.4, 4.0))
+    centre = tuple(
+        rng.uniform(min(0.8, 0.3 * side), max(side - 0.8, 0.7 * side)) for side in size[:2]
+    )
+    spec_centre = (centre[0], centre[1], rng.uniform(0.4, 1.6))
+    if rng.random() < 0.3:
+        return RoomSpec(size, spec_centre, max_order=int(rng.integers(0, 5)))
+    # Sabine's formula has no solution for very short RT60 in a large room.
+    shortest = 0.16 * np.prod(size) / _surface(size) + 0.05
+    return RoomSpec(size, spec_centre, rt60=float(rng.uniform(shortest, 0.8)))
+
+
+def _surface(size: Sequence[float]) -> float:
+    x, y, z = size
+    return 2 * (x * y + y * z + z * x)
+
+
+def place_sources(
+    rng: np.random.Generator, room: RoomSpec, count: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Sources inside the room with uniform azimuths and elevations mostly near the horizon.
+
+    Returns
+    -------
+    sources : (S, 3) float
+        Relative to the array centre, metres.
+    azimuth, elevation, distance : (S,) float
+        Radians and metres.
+    """
+    low = 0.15 - np.asarray(room.centre)
+    high = np.asarray(room.size) - 0.15 - np.asarray(room.centre)
+    sources: list[FloatArray] = []
+    angles: list[tuple[float, float, float]] = []
+    while len(sources) < count:
+        azimuth = rng.uniform(0, 2 * np.pi)
+        elevation = 0.0 if rng.random() < 0.4 else np.deg2rad(rng.uniform(-20, 50))
+        distance = rng.uniform(0.5, 3.0)
+        source = distance * unit_vectors(np.array(azimuth), float(elevation))
+        if (source > low).all() and (source < high).all():
+            sources.append(source)
+            angles.append((azimuth, elevation, distance))
+    azimuths, elevations, distances = np.array(angles).T
+    return np.array(sources), azimuths, elevations, distances
+
+
+def diffuse_noise(
+    rng: np.random.Generator, positions: FloatArray, num_samples: int, num_waves: int = NUM_WAVES
+) -> FloatArray:
+    """White isotropic noise: independent plane waves from all over the sphere, (N, T) float32."""
+    directions = isotropic_directions(rng, num_waves)
+    return superpose(positions, directions, rng.normal(size=(num_waves, num_samples)))
+
+
+def isotropic_directions(rng: np.random.Generator, num_waves: int = NUM_WAVES) -> FloatArray:
+    """Unit vectors (K, 3) spread evenly over the sphere."""
+    elevation = np.arcsin(rng.uniform(-1, 1, num_waves))
+    return unit_vectors(rng.uniform(0, 2 * np.pi, num_waves), elevation)
+
+
+def superpose(positions: FloatArray, directions: FloatArray, signals: FloatArray) -> FloatArray:
+    """Plane waves at the microphones, (N, T) float32 with the waves' mean power.
+
+    Parameters
+    ----------
+    positions : (N, 3) float
+        Metres.
+    directions : (K, 3) float
+        Unit vectors towards the waves' origins.
+    signals : (K, T) float
+        What each wave carries, delayed circularly.
+    """
+    waves, num_samples = signals.shape
+    delays = positions @ directions.T / SPEED_OF_SOUND  # (N, K) seconds
+    spectra = np.fft.rfft(signals, axis=-1)
+    omega = 2 * np.pi * np.fft.rfftfreq(num_samples, 1 / SAMPLE_RATE)
+    mixed = np.zeros((len(positions), omega.size), dtype=complex)
+    for wave in range(waves):
+        mixed += np.exp(1j * omega * delays[:, wave, None]) * spectra[wave]
+    noise = np.fft.irfft(mixed, num_samples, axis=-1) / np.sqrt(waves)
+    return noise.astype(np.float32)
+
+
+def simulate_chunk(seed: int) -> dict[str, FloatArray]:
+    """Responses of ``CHUNK_ROOMS`` random rooms whose arrays share one microphone count.
+
+    Returns
+    -------
+    chunk : dict
+        ``responses`` (R, S, N, T) float16 scaled to a maximum of 1, ``positions`` (R, N, 3) as
+        nominal (the responses were made with a jitter of 1 mm), ``azimuth``, ``elevation``,
+        ``distance`` (R, S), ``diffuse`` (R, N, T') float16, ``room`` (R, 8): size, centre, image
+        order (-1: RT60 instead) and RT60.
+    """
+    rng = np.random.default_rng([seed, 20260])
+    microphones = int(rng.choice([3, 4, 4, 4, 5, 6, 6, 7, 8]))
+    chunk: dict[str, list[FloatArray]] = {key: [] for key in CHUNK_KEYS}
+    for _ in range(CHUNK_ROOMS):
+        array = random_array(rng, microphones)
+        room = random_room(rng)
+        sources, azimuth, elevation, distance = place_sources(rng, room, SOURCES_PER_ROOM)
+        jittered = array.positions + rng.normal(scale=0.001, size=array.positions.shape)
+        responses = impulse_responses(room, jittered, sources, longest=RESPONSE_SAMPLES)
+        peaks = np.abs(responses).max(axis=(1, 2), keepdims=True)
+        chunk["responses"].append((responses / peaks).astype(np.float16))
+        chunk["positions"].append(array.positions)
+        chunk["azimuth"].append(azimuth)
+        chunk["elevation"].append(elevation)
+        chunk["distance"].append(distance)
+        chunk["diffuse"].append(
+            (0.1 * diffuse_noise(rng, jittered, NOISE_SAMPLES)).astype(np.float16)
+        )
+        order = -1 if room.max_order is None else room.max_order
+        chunk["room"].append(np.array([*room.size, *room.centre, order, room.rt60 or 0.0]))
+    return {key: np.stack(values) for key, values in chunk.items()}
+
+
+def _write_chunk(folder: Path, seed: int) -> None:
+    path = folder / f"{seed:05d}.npz"
+    if path.exists():
+        return
+    chunk = simulate_chunk(seed)
+    unfinished = path.with_suffix(".part.npz")
+    np.savez(unfinished, **chunk)  # type: ignore[arg-type]
+    unfinished.rename(path)
+
+
+def write_room_bank(folder: Path, num_chunks: int, *, workers: int = 1) -> None:
+    """Write chunks 0 to ``num_chunks`` - 1 into ``folder``; those that exist are kept."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(workers) as pool:
+        futures = [pool.submit(_write_chunk, folder, seed) for seed in range(num_chunks)]
+        for future in track(futures, description="simulating rooms"):
+            future.result()

@@ -1,0 +1,1 @@
+"""Networks, what they learn, and the loop that trains them."""

@@ -1,0 +1,102 @@
+"""Distillation: a lighter network learns what a trained one says of every cell.
+
+Angles are not needed for it, so a step costs the convolutions alone, and every cell of every scene
+is a target. What the teacher was trained for, the spectra, is left to a short stage afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from model_export.simulation.scenes import Scene
+from model_export.training.precision import training_precision
+from model_export.training.task import (
+    STFT,
+    Batch,
+    Task,
+    WeightsTask,
+    direct_share,
+    known_cross_entropy,
+)
+from model_export.training.weights import WeightsNetwork
+from service.doa.features import coherence_features, unit_vectors_and_power
+
+LEAST_IMPORTANCE = 0.2
+"""Of a cell that the teacher ignores, against 1 of a mean one: it might be attended to elsewhere"""
+SCALE_WEIGHT = 0.1
+"""Of the sum of the attentions, which only the source count looks at"""
+SHARE_WEIGHT = 0.2
+"""Of the share of direct sound, which keeps the hidden layers at what the simulation knows"""
+
+
+class DistilTask(WeightsTask):
+    """The `weights` variant, taught by the run that the configuration starts from."""
+
+    _teacher: WeightsNetwork | None = None
+
+    def start_from(self, start: Task) -> None:
+        """Learn from it, and take all its parameters behind the convolutions that look ahead."""
+        assert isinstance(start, WeightsTask)
+        taught, teaching = self.model.network, start.model.network
+        self.model.load_state_dict(
+            {
+                name: tensor
+                for name, tensor in start.model.state_dict().items()
+                if not name.startswith("network.blocks")
+            },
+            strict=False,
+        )
+        behind = slice(taught.lookahead, None), slice(teaching.lookahead, None)
+        taught.blocks[behind[0]].load_state_dict(teaching.blocks[behind[1]].state_dict())
+        self._teacher = start.model.network.eval().requires_grad_(False)
+
+    def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch:
+        scenes = self.cut(rng, scenes)
+        spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))[:, :, 1:]
+        shares = np.stack([direct_share(scene) for scene in scenes])
+        return {
+            "features": torch.from_numpy(coherence_features(*unit_vectors_and_power(spectra))),
+            "direct_share": torch.from_numpy(shares),
+        }
+
+    def losses(self, batch: Batch) -> dict[str, Tensor]:
+        assert self._teacher is not None
+        network = self.model.network
+        features = batch["features"].transpose(2, 3).contiguous(memory_format=torch.channels_last)
+        with training_precision(features, training=self.model.training):
+            hidden = network.hidden(features)
+            weights, attention = network.cells(hidden)
+            share = network.direct_share(hidden)
+        with torch.no_grad():
+            taught_weights, taught_attention = self._teacher(features)
+        total, taught_total = (_total(each.float()) for each in (attention, taught_attention))
+        taught_share = taught_attention / taught_total
+        importance = LEAST_IMPORTANCE + taught_share * taught_share[0].numel()
+        weight_loss = F.binary_cross_entropy(
+            weights.float().clamp(1e-6, 1 - 1e-6), taught_weights, importance
+        ) - F.binary_cross_entropy(taught_weights.clamp(1e-6, 1 - 1e-6), taught_weights, importance)
+        divergence = (
+            taught_share * ((taught_share + 1e-12) / (attention.float() / total + 1e-12)).log()
+        )
+        losses = {
+            "weights": weight_loss,
+            "attention": divergence.sum((1, 2)).mean(),
+            "scale": (total / taught_total).log().square().mean(),
+            "share": known_cross_entropy(share.float(), batch["direct_share"].transpose(1, 2)),
+        }
+        loss = losses["weights"] + losses["attention"] + SCALE_WEIGHT * losses["scale"]
+        return {"loss": loss + SHARE_WEIGHT * losses["share"], **losses}
+
+    def scores(self, batch: Batch) -> dict[str, float]:
+        losses = self.losses(batch)
+        return {f"held_{name}": float(losses[name]) for name in ("weights", "attention")}
+
+
+def _total(cells: Tensor) -> Tensor:
+    """Sum (B, 1, 1) over the cells of every window, at least the smallest float32."""
+    return cells.sum((1, 2), True).clamp(min=torch.finfo(torch.float32).tiny)

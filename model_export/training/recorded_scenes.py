@@ -1,0 +1,131 @@
+"""Unlabelled multichannel recordings as training scenes: windows cut at random where sound is.
+
+Files are decoded, resampled and checked as the service does it and kept in memory
+as float16, about half a gigabyte for an hour of four microphones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from model_export.simulation.scenes import WINDOW_SAMPLES, Scene
+from model_export.training.config import TrainingConfig
+from model_export.training.task import STFT
+from service.audio.recording import Recording
+from service.doa.array import MicrophoneArray
+from service.doa.presets import RAW_CHANNELS
+from service.doa.types import FloatArray, IntArray
+from service.errors import AudioError
+
+SUFFIXES = (".wav", ".flac")
+GATE_DB = 20.0
+"""A window is cut where its level is at most this far below the recording's loudest window"""
+SILENCE_LEVEL = 1e-5
+"""RMS against full scale, -100 dB: what is below all along is a muted recording"""
+HOP_SAMPLES = 1000
+"""Between the windows that may be cut, 1/16 s"""
+VALIDATION_FILES = 10
+"""One file in so many only validates"""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedScenes:
+    """Windows of recordings, all of the same array; no direction is known."""
+
+    array: MicrophoneArray
+    audio: Sequence[FloatArray]
+    """Each (N, T) float16 with a peak of 1"""
+    starts: Sequence[IntArray]
+    """For each the first samples of windows that are loud enough"""
+
+    @classmethod
+    def split(cls, folder: Path, array: MicrophoneArray) -> tuple[Self, Self]:
+        """Files to train on and files to validate with; of fewer than ten, all do both.
+
+        Raises
+        ------
+        ValueError
+            If there is no WAV or FLAC file, or one that cannot be used; the file is named.
+        """
+        paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
+        if not paths:
+            raise ValueError(f"no WAV or FLAC file below {folder}: name the recordings' folder")
+        if len(paths) < VALIDATION_FILES:
+            scenes = cls.load(paths, array)
+            return scenes, scenes
+        validation = paths[::VALIDATION_FILES]
+        return cls.load(sorted({*paths} - {*validation}), array), cls.load(validation, array)
+
+    @classmethod
+    def load(cls, paths: Sequence[Path], array: MicrophoneArray) -> Self:
+        """Decode recordings and find what is loud enough in them."""
+        audio = [decode(path, array) for path in paths]
+        return cls(array, audio, [loud_starts(samples) for samples in audio])
+
+    def scenes(self, rng: np.random.Generator, config: TrainingConfig) -> Iterator[Scene]:
+        """Windows without end, every loud stretch as often as it is long."""
+        windows = [(file, start) for file, starts in enumerate(self.starts) for start in starts]
+        while True:
+            file, start = windows[rng.integers(len(windows))]
+            window = self.audio[file][:, start : start + WINDOW_SAMPLES].astype(np.float32)
+            yield Scene(window, self.array.positions, np.empty(0))
+
+
+def decode(path: Path, array: MicrophoneArray) -> FloatArray:
+    """The array's channels (N, T) float16 of a recording at 16 kHz, scaled to a peak of 1.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be decoded, has no channel for every microphone, is shorter than a window or
+        silent.
+    """
+    try:
+        with Recording.open(path) as recording:
+            channels = microphone_channels(recording.channels, array)
+            samples = np.concatenate(list(recording.blocks(channels, STFT.sample_rate)), axis=1)
+    except (AudioError, ValueError) as error:
+        raise ValueError(f"{path}: {error}") from error
+    if samples.shape[1] < WINDOW_SAMPLES:
+        seconds = WINDOW_SAMPLES / STFT.sample_rate
+        raise ValueError(f"{path}: shorter than a window of {seconds:.2f} s: leave it out")
+    if window_levels(samples).max() < SILENCE_LEVEL:
+        raise ValueError(f"{path}: silent from beginning to end: leave it out")
+    # A recording's gain says nothing, and float16 has no room for the integers of some formats.
+    return (samples / np.abs(samples).max()).astype(np.float16)
+
+
+def microphone_channels(channels: int, array: MicrophoneArray) -> tuple[int, ...]:
+    """A recording's channels of the raw microphones, by the firmware's layout if it has more."""
+    if channels == array.num_microphones:
+        return tuple(range(channels))
+    layouts = RAW_CHANNELS.get(array.name, {})
+    if channels not in layouts:
+        usable = " or ".join(map(str, [array.num_microphones, *layouts]))
+        raise ValueError(
+            f"{channels} channels, but recordings of {array.name} have {usable}: record all "
+            "microphones as separate channels, or leave the file out"
+        )
+    return layouts[channels]
+
+
+def window_levels(samples: FloatArray) -> FloatArray:
+    """RMS over microphones and time of the windows (W,) that begin every ``HOP_SAMPLES``."""
+    power = np.square(samples, dtype=np.float32).mean(axis=0, dtype=np.float64)  # (T,)
+    total = np.concatenate([[0.0], np.cumsum(power)])
+    starts = np.arange(0, samples.shape[1] - WINDOW_SAMPLES + 1, HOP_SAMPLES)
+    mean = (total[starts + WINDOW_SAMPLES] - total[starts]) / WINDOW_SAMPLES
+    levels: FloatArray = np.sqrt(np.maximum(mean, 0))
+    return levels
+
+
+def loud_starts(samples: FloatArray) -> IntArray:
+    """First samples of the windows within ``GATE_DB`` of the loudest one."""
+    levels = window_levels(samples)
+    loud: IntArray = np.flatnonzero(levels >= levels.max() * 10 ** (-GATE_DB / 20)) * HOP_SAMPLES
+    return loud

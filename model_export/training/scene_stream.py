@@ -1,0 +1,61 @@
+"""Where training scenes come from, and the endless stream of batches that is made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch.utils.data import IterableDataset
+
+from model_export.simulation.scenes import Scene, draw_scene
+from model_export.training.config import TrainingConfig
+from model_export.training.task import Batch, task_of
+from service.doa.types import FloatArray
+
+
+class RoomSource(Protocol):
+    """Chunks of simulated rooms: a bank on disk or rooms made for one array."""
+
+    def chunk(self, rng: np.random.Generator) -> dict[str, FloatArray]: ...
+
+
+class SceneSource(Protocol):
+    """An endless supply of scenes that the generator alone decides."""
+
+    def scenes(self, rng: np.random.Generator, config: TrainingConfig) -> Iterator[Scene]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedScenes:
+    """Dry speech in simulated rooms."""
+
+    rooms: RoomSource
+    speech: Sequence[FloatArray]
+    noises: Sequence[FloatArray] = ()
+    """Steady mono recordings"""
+
+    def scenes(self, rng: np.random.Generator, config: TrainingConfig) -> Iterator[Scene]:
+        while True:
+            chunk = self.rooms.chunk(rng)
+            for _ in range(config.batches_per_chunk * config.batch_size):
+                yield draw_scene(rng, chunk, self.speech, config.scenes, noises=self.noises)
+
+
+class SceneStream(IterableDataset[Batch]):
+    """An endless stream of batches; the seed, the first step and the worker decide every one."""
+
+    def __init__(self, config: TrainingConfig, source: SceneSource, *, first_step: int = 0) -> None:
+        self.config, self.source, self.first_step = config, source, first_step
+
+    def __iter__(self) -> Iterator[Batch]:
+        info = torch.utils.data.get_worker_info()
+        worker = info.id if info else 0
+        rng = np.random.default_rng([self.config.seed, self.first_step, worker])
+        task = task_of(self.config)
+        scenes = self.source.scenes(rng, self.config)
+        while True:
+            yield task.collate(rng, list(islice(scenes, self.config.batch_size)))

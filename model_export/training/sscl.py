@@ -1,0 +1,161 @@
+"""Self-supervised spatial correlation learning, the first stage of the paper's training.
+
+One microphone is masked (``training.masking``) and reconstructed from the others; no direction
+is ever told, so unlabelled recordings serve as well as simulated scenes. Only the encoder goes on
+to the supervised stage. Deviations from the paper, whose decoder is a U-net that draws magnitude
+and phase of the masked channel as an image:
+
+- The decoder says how to combine the other microphones: one complex coefficient per bin and pair
+  of microphones, for the whole window, by one linear map that all bins share, as the covariance
+  regressor has it. The reconstruction is the combination in every cell. No detail of a cell can
+  pass by the latent features, what they have to hold is the spatial correlation of their bin (for
+  one source the best coefficients are the covariance's entries), and row f of the latent features
+  learns to belong to bin f.
+- The error is that of the complex value, relative to the cell's norm: magnitude and phase at once,
+  without a wrapped phase to regress. It counts in masked cells only, and there in the louder half
+  of every bin, since sensor noise cannot be reconstructed from other microphones.
+- 40 to 75 % of the microphone's cells are masked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from model_export.simulation.scenes import Scene
+from model_export.training.config import TrainingConfig
+from model_export.training.masking import draw_mask, masked_features
+from model_export.training.networks import LATENT, Encoder
+from model_export.training.precision import training_precision
+from model_export.training.task import STFT, Batch, Task
+from service.doa.array import MicrophoneArray
+from service.doa.presets import preset
+from service.doa.types import BoolArray, FloatArray
+
+
+class ReconstructionDecoder(nn.Module):
+    """Latent features (B, F, 64) to combination coefficients (B, F, N, N), complex.
+
+    Row n holds what the other microphones contribute to microphone n; its own entry is zero.
+    """
+
+    def __init__(self, num_microphones: int) -> None:
+        super().__init__()
+        self.num_microphones = num_microphones
+        self.linear = nn.Linear(LATENT, 2 * num_microphones**2)
+
+    def forward(self, latent: Tensor) -> Tensor:
+        size = self.num_microphones
+        real, imaginary = self.linear(latent).unflatten(-1, (2, size, size)).unbind(-3)
+        others = 1 - torch.eye(size, device=latent.device)
+        return torch.complex(real * others, imaginary * others)
+
+
+class SsclPipeline(nn.Module):
+    """The supervised stage's encoder, and a decoder that is left behind."""
+
+    def __init__(self, num_microphones: int) -> None:
+        super().__init__()
+        self.encoder = Encoder(num_microphones)
+        self.decoder = ReconstructionDecoder(num_microphones)
+
+    def forward(self, features: Tensor, spectra: Tensor, microphone: Tensor) -> Tensor:
+        """The masked microphones' spectra (B, F, L) complex, from all others'.
+
+        Parameters
+        ----------
+        features : (B, 2N, 257, 64) real
+            With the microphone masked (``masking.masked_features``).
+        spectra : (B, N, 257, 64) complex
+            Those of the microphone itself are not looked at.
+        microphone : (B,) int
+        """
+        # What follows needs float32's digits.
+        with training_precision(features, training=self.training):
+            latent = self.encoder(features.contiguous(memory_format=torch.channels_last))
+        coefficients = self.decoder(latent.float())  # (B, F, N, N)
+        rows = coefficients[torch.arange(len(microphone)), :, microphone]  # (B, F, N)
+        return torch.einsum("bfn,bnfl->bfl", rows, spectra)
+
+
+class SsclTask:
+    """Reconstruct a random microphone in masked cells of one array's scenes.
+
+    Parameters
+    ----------
+    config : TrainingConfig
+    array : MicrophoneArray, optional
+        In the place of the configuration's preset.
+    """
+
+    def __init__(self, config: TrainingConfig, array: MicrophoneArray | None = None) -> None:
+        if config.array is None:
+            raise ValueError("the sscl variant is bound to one array: name its preset")
+        if config.phase_reference != "first":
+            raise ValueError("the sscl variant masks features of phase_reference 'first' only")
+        self.config = config
+        self.array = array or preset(config.array)
+        self.model = SsclPipeline(self.array.num_microphones)
+
+    def start_from(self, start: Task) -> None:
+        """Go on with another self-supervised run, such as from simulated to recorded scenes."""
+        if not isinstance(start, SsclTask):
+            raise ValueError(f"{self.config.name} starts from an `sscl` run, not from another kind")
+        self.model.load_state_dict(start.model.state_dict())
+
+    def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch:
+        """Masked features, unit-norm spectra, the masked microphones and the cells that count."""
+        spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))  # (B, N, F, L)
+        microphone = rng.integers(spectra.shape[1], size=len(spectra))
+        mask = np.stack([draw_mask(rng, *spectra.shape[2:]) for _ in scenes])
+        power = (spectra.real**2 + spectra.imag**2).sum(axis=1)  # (B, F, L)
+        norm = np.sqrt(np.maximum(power, np.finfo(np.float32).tiny))
+        return {
+            "features": torch.from_numpy(masked_features(spectra, microphone, mask)),
+            "spectra": torch.from_numpy(spectra / norm[:, None]),
+            "microphone": torch.from_numpy(microphone),
+            "cells": torch.from_numpy(mask & louder_half(power)),
+        }
+
+    def losses(self, batch: Batch) -> dict[str, Tensor]:
+        """The share of the masked channel's power that is not reconstructed."""
+        scenes = torch.arange(len(batch["microphone"]))
+        truth = batch["spectra"][scenes, batch["microphone"]]  # (B, F, L)
+        reconstruction = self.model(batch["features"], batch["spectra"], batch["microphone"])
+        error = torch.view_as_real(truth - reconstruction).square().sum(-1)
+        power = torch.view_as_real(truth).square().sum(-1)
+        cells = batch["cells"]
+        return {"loss": (error * cells).sum() / (power * cells).sum().clamp(min=1e-6)}
+
+    def scores(self, batch: Batch) -> dict[str, float]:
+        return {"unexplained": float(self.losses(batch)["loss"])}
+
+
+def louder_half(power: FloatArray) -> BoolArray:
+    """Cells of (B, F, L) above the median over time of their bin, bool; none where all is still."""
+    louder: BoolArray = power > np.median(power, axis=-1, keepdims=True)
+    return louder
+
+
+def load_encoder(encoder: Encoder, start: SsclTask, config: TrainingConfig) -> None:
+    """Copy the self-supervised encoder's parameters and statistics, every one of them.
+
+    Raises
+    ------
+    ValueError
+        If its inputs meant something else (array, phase reference) or a name or shape differs.
+    """
+    for setting in ("array", "phase_reference"):
+        theirs, ours = getattr(start.config, setting), getattr(config, setting)
+        if theirs != ours:
+            raise ValueError(
+                f"{start.config.name} was trained with {setting} {theirs}, but {config.name} has "
+                f"{ours}: pretrain with the same"
+            )
+    try:
+        encoder.load_state_dict(start.model.encoder.state_dict())
+    except RuntimeError as error:
+        raise ValueError(f"the encoder of {start.config.name} does not fit: {error}") from error

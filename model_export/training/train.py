@@ -1,0 +1,172 @@
+"""Training: resumable, with curves in CSV, the configuration and the seed on disk.
+
+A run folder holds ``config.json``, ``curves.csv`` and ``checkpoint.pt``; the same run started again
+continues at its last checkpoint.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from torch.utils.data import DataLoader
+
+from model_export.training.config import TrainingConfig
+from model_export.training.fitting import CHECKPOINT, Fitting, checkpoint
+from model_export.training.scene_stream import SceneSource, SceneStream
+from model_export.training.task import Batch, Task, task_of
+
+VALIDATION_BATCHES = 8
+WARM_UP = 200
+"""Steps in which the learning rate rises"""
+
+
+def train(
+    config: TrainingConfig,
+    run: Path,
+    scenes: SceneSource,
+    validation_scenes: SceneSource,
+    *,
+    init: Path | None = None,
+    workers: int = 1,
+    device: str = "cpu",
+) -> Task:
+    """Train until ``config.steps``, continuing from the run folder's checkpoint if there is one.
+
+    ``init`` is the folder of the run that ``config.starts_from`` names. The run may go on on
+    another ``device`` than it began.
+
+    Returns
+    -------
+    task : Task
+        With the trained model in evaluation mode, on the CPU.
+    """
+    run.mkdir(parents=True, exist_ok=True)
+    torch.manual_seed(config.seed)
+    task = task_of(config)
+    _start_from(config, task, init)
+    task.model.to(device)
+    optimizer = torch.optim.AdamW(
+        task.model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+    )
+    _describe(run, config)
+    fitting = Fitting(task.model, optimizer, config.steps, WARM_UP, run)
+    if fitting.step >= config.steps:
+        task.model.cpu().eval()
+        return task
+    stream = SceneStream(config, scenes, first_step=fitting.step)
+    loader = iter(DataLoader(stream, batch_size=None, num_workers=workers, prefetch_factor=4))
+    validation = [on(device, b) for b in _validation_batches(config, validation_scenes)]
+    running: dict[str, float] = {}
+    with _progress(config, fitting.step) as (progress, bar):
+        while fitting.step < config.steps:
+            losses = _optimize(fitting, task, on(device, next(loader)))
+            for name, value in losses.items():
+                running[name] = 0.98 * running.get(name, value) + 0.02 * value
+            progress.update(bar, completed=fitting.step, loss=running["loss"])
+            if fitting.step % config.checkpoint_every == 0 or fitting.step == config.steps:
+                scores = _validate(task, validation)
+                _write_curves(run, fitting.step, running, scores)
+                fitting.save()
+    task.model.cpu().eval()
+    return task
+
+
+def on(device: str, batch: Batch) -> Batch:
+    """The batch on a device; scenes are simulated on the CPU whatever trains on them."""
+    return {name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()}
+
+
+def _start_from(config: TrainingConfig, task: Task, init: Path | None) -> None:
+    """Take from the run that the configuration starts from what the task takes."""
+    if config.starts_from is None and init is None:
+        return
+    if config.starts_from is None or init is None:
+        raise ValueError(f"{config.name} starts from {config.starts_from}: name its run as init")
+    start, initial, _ = load_run(init)
+    if start.name != config.starts_from:
+        raise ValueError(f"{config.name} starts from {config.starts_from}, not from {start.name}")
+    task.start_from(initial)
+
+
+def load_run(run: Path) -> tuple[TrainingConfig, Task, int]:
+    """A run's configuration, its task with the checkpoint's parameters, and the step."""
+    if not (run / CHECKPOINT).exists():
+        raise FileNotFoundError(f"{run} holds no {CHECKPOINT}: train first")
+    config = TrainingConfig.from_dict(json.loads((run / "config.json").read_text()))
+    task = task_of(config)
+    state = checkpoint(run)
+    task.model.load_state_dict(state["model"])
+    task.model.eval()
+    return config, task, int(state["step"])
+
+
+def _optimize(fitting: Fitting, task: Task, batch: Batch) -> dict[str, float]:
+    task.model.train()
+    losses = task.losses(batch)
+    fitting.optimize(losses["loss"])
+    return {name: float(value.detach()) for name, value in losses.items()}
+
+
+def _validate(task: Task, batches: Sequence[Batch]) -> dict[str, float]:
+    task.model.eval()
+    with torch.no_grad():
+        per_batch = [task.scores(batch) for batch in batches]
+    return {key: float(np.mean([scores[key] for scores in per_batch])) for key in per_batch[0]}
+
+
+def _validation_batches(config: TrainingConfig, scenes: SceneSource) -> list[Batch]:
+    stream = iter(SceneStream(config, scenes, first_step=10**6))
+    return [next(stream) for _ in range(VALIDATION_BATCHES)]
+
+
+def _describe(run: Path, config: TrainingConfig) -> None:
+    settings = json.loads(json.dumps(config.as_dict()))
+    described = run / "config.json"
+    if described.exists() and json.loads(described.read_text()) != settings:
+        raise ValueError(f"{run} holds a run with other settings: name another folder")
+    described.write_text(json.dumps(settings, indent=2) + "\n")
+
+
+def _write_curves(
+    run: Path, step: int, running: dict[str, float], scores: dict[str, float]
+) -> None:
+    row: dict[str, Any] = {"step": step, "time": round(time.time())}
+    row |= {name: f"{value:.5g}" for name, value in (running | scores).items()}
+    path = run / "curves.csv"
+    fresh = not path.exists()
+    with path.open("a", newline="") as file:
+        writer = csv.DictWriter(file, list(row))
+        if fresh:
+            writer.writeheader()
+        writer.writerow(row)
+
+
+class _progress:
+    """A progress bar with the running loss."""
+
+    def __init__(self, config: TrainingConfig, step: int) -> None:
+        self.progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.completed}/{task.total} loss {task.fields[loss]:.4f}"),
+            TimeRemainingColumn(),
+        )
+        self.bar = self.progress.add_task(
+            config.name, total=config.steps, completed=step, loss=math.nan
+        )
+
+    def __enter__(self) -> tuple[Progress, Any]:
+        self.progress.start()
+        return self.progress, self.bar
+
+    def __exit__(self, *_: object) -> None:
+        self.progress.stop()

@@ -1,0 +1,1 @@
+"""API keys: who they are, what they may do, what they have used."""

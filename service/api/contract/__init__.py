@@ -1,0 +1,1 @@
+"""What OpenAPI says beyond the types of the endpoints."""

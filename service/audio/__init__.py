@@ -1,0 +1,1 @@
+"""Audio as bytes: files that strangers made, PCM of streams."""

@@ -1,0 +1,290 @@
+"""Recordings: a header checked against limits, then audio decoded and resampled block by block.
+
+Anything that libsndfile reads is accepted. Nothing is ever allocated by what a header says, and
+memory is bounded by one block, whatever the length of the recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from io import SEEK_CUR, SEEK_END, SEEK_SET
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO, Self
+
+import numpy as np
+import soundfile
+import soxr
+
+from service.audio.containers import HEAD_BYTES, promised_bytes
+from service.audio.wav import PIPE_SIZES, WavHeader, is_wav, read_wav_header
+from service.doa.types import FloatArray
+from service.errors import (
+    AudioTooLong,
+    EmptyAudio,
+    NonFiniteAudio,
+    NotAudio,
+    TooManyChannels,
+    TruncatedAudio,
+    UnsupportedSampleRate,
+)
+
+BLOCK_SECONDS = 2
+MAX_BLOCK_SAMPLES = 4 * 2**20
+"""Of all channels together, so that a block of many channels at a high rate stays at 16 MiB"""
+
+MAX_AMPLITUDE = 1e7
+"""Above 24-bit integers kept as floats; below where the fourth power overflows in float32"""
+
+INT16_STEP = np.float32(2**-15)
+"""Full scale is one"""
+
+UNKNOWN_FRAMES = 2**62
+"""libsndfile's length of a stream that does not say its own is 2^63 - 1"""
+
+
+@dataclass(frozen=True, slots=True)
+class AudioLimits:
+    """What a recording's header may claim."""
+
+    max_channels: int = 64
+    max_seconds: float = 3600.0
+    """Seconds"""
+    min_sample_rate: int = 4_000
+    """Hertz"""
+    max_sample_rate: int = 384_000
+    """Hertz"""
+
+
+class Recording:
+    """A multichannel recording: its header is read and checked, its samples not yet decoded."""
+
+    def __init__(self, sound: soundfile.SoundFile, closing: ExitStack) -> None:
+        self._sound = sound
+        self._closing = closing
+        self.sample_rate = int(sound.samplerate)
+        self.channels = int(sound.channels)
+        self.num_frames = int(sound.frames)
+
+    @classmethod
+    def open(cls, file: BinaryIO | Path, limits: AudioLimits | None = None) -> Self:
+        """Read the header of a seekable file and check it.
+
+        Raises
+        ------
+        NotAudio
+            If libsndfile does not know the format.
+        EmptyAudio, TruncatedAudio
+            If there is no audio, or less than a WAV header promises.
+        TooManyChannels, UnsupportedSampleRate, AudioTooLong
+            If the header exceeds the limits.
+        """
+        limits = limits or AudioLimits()
+        with ExitStack() as stack:
+            source = stack.enter_context(file.open("rb")) if isinstance(file, Path) else file
+            _check_header(source, limits)
+            source.seek(0)
+            sound = stack.enter_context(_open_sound(source))
+            _check_format(sound.channels, sound.samplerate, limits)
+            _check_length(sound.frames, sound.samplerate, limits)
+            return cls(sound, stack.pop_all())
+
+    @property
+    def duration(self) -> float:
+        """Seconds."""
+        return self.num_frames / self.sample_rate
+
+    def blocks(self, channels: Sequence[int], sample_rate: int) -> Iterator[FloatArray]:
+        """Decode from the start, block by block.
+
+        All channels pass through one resampler, so the delays between them stay as they are.
+
+        Parameters
+        ----------
+        channels : sequence of int
+            Recording channels to take, from 0, in the order wanted.
+        sample_rate : int
+            Hertz wanted.
+
+        Yields
+        ------
+        block : (N, T) float32
+            About two seconds; together the whole recording.
+
+        Raises
+        ------
+        TruncatedAudio
+            If decoding ends before the length that the header promises.
+        NonFiniteAudio
+            If a sample of these channels is NaN, infinite or absurdly large.
+        """
+        resampler = None
+        if sample_rate != self.sample_rate:
+            resampler = soxr.ResampleStream(
+                self.sample_rate, sample_rate, len(channels), dtype="float32", quality="HQ"
+            )
+        start = 0
+        all_in_order = list(channels) == list(range(self.channels))
+        for decoded in self._decode():
+            block = decoded
+            if not all_in_order:
+                block = np.ascontiguousarray(decoded[:, list(channels)])
+            self._check_samples(block, channels, start)
+            start += len(block)
+            if resampler is not None:
+                block = resampler.resample_chunk(block, last=start == self.num_frames)
+            if len(block):
+                yield np.ascontiguousarray(block.T)
+
+    def close(self) -> None:
+        """Close the decoder, and the file where a path was given."""
+        self._closing.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _decode(self) -> Iterator[FloatArray]:
+        """Blocks (T, channels) float32 that add up to exactly ``num_frames``."""
+        # libsndfile makes the same numbers of 16 bits, but takes five times as long as numpy.
+        has_16_bits = self._sound.subtype == "PCM_16"
+        dtype = "int16" if has_16_bits else "float32"
+        length = min(BLOCK_SECONDS * self.sample_rate, MAX_BLOCK_SAMPLES // self.channels)
+        done = 0
+        while done < self.num_frames:
+            wanted = min(length, self.num_frames - done)
+            try:
+                if done == 0:
+                    self._sound.seek(0)
+                block = self._sound.read(wanted, dtype=dtype, always_2d=True)
+            except soundfile.SoundFileError:
+                block = np.empty((0, self.channels), np.float32)
+            if len(block) < wanted:
+                raise TruncatedAudio(
+                    f"the header promises {self.duration:.2f} s of audio, but the file cannot be "
+                    f"decoded beyond {(done + len(block)) / self.sample_rate:.2f} s: "
+                    "send the whole, undamaged file"
+                )
+            done += wanted
+            yield block * INT16_STEP if has_16_bits else block
+
+    def _check_samples(self, block: FloatArray, channels: Sequence[int], start: int) -> None:
+        usable = np.abs(block) <= MAX_AMPLITUDE  # False for NaN, too
+        if usable.all():
+            return
+        frame, column = np.argwhere(~usable)[0]
+        raise NonFiniteAudio(
+            f"channel {channels[column]} is {block[frame, column]:g} at "
+            f"{(start + frame) / self.sample_rate:.3f} s: repair the recording, or record integer "
+            "samples"
+        )
+
+
+class _Source:
+    """A seekable file behind libsndfile's callbacks, where an exception would only be printed."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        file.seek(0, SEEK_END)
+        self._size = file.tell()
+        file.seek(0)
+
+    def seek(self, offset: int, whence: int = SEEK_SET) -> int:
+        # Damaged headers make libsndfile seek to negative and to absurd places.
+        base = {SEEK_SET: 0, SEEK_CUR: self._file.tell(), SEEK_END: self._size}[whence]
+        return self._file.seek(min(max(base + offset, 0), self._size))
+
+    def tell(self) -> int:
+        return self._file.tell()
+
+    def read(self, count: int = -1) -> bytes:
+        return self._file.read(count)
+
+
+def _open_sound(source: BinaryIO) -> soundfile.SoundFile:
+    try:
+        # Without a name, soundfile cannot take a file called x.raw for headerless samples.
+        return soundfile.SoundFile(_Source(source), "r")
+    except (soundfile.SoundFileError, TypeError, ValueError) as error:
+        raise NotAudio(
+            "the bytes are no audio file that can be read: send WAV, FLAC or another format that "
+            "libsndfile knows, with its header"
+        ) from error
+
+
+def _check_header(source: BinaryIO, limits: AudioLimits) -> None:
+    source.seek(0)
+    start = source.read(HEAD_BYTES)
+    if not is_wav(start):
+        _check_size(source, promised_bytes(start))
+        return
+    header = read_wav_header(source)
+    if header is None:
+        raise TruncatedAudio("the WAV file ends before its audio begins: send the whole file")
+    if header.channels:  # zero is for libsndfile to refuse
+        _check_format(header.channels, header.sample_rate, limits)
+    if header.truncated:
+        raise TruncatedAudio(_truncation(header))
+    if header.promised == 0 and header.held > 0:
+        raise EmptyAudio(
+            "the WAV header says that there is no audio: the recorder did not finish the file; "
+            "stop it properly, or convert the file anew"
+        )
+
+
+def _check_size(source: BinaryIO, promised: int) -> None:
+    held = source.seek(0, SEEK_END)
+    if promised > held:
+        raise TruncatedAudio(
+            f"the header promises a file of {promised} bytes, but it has {held}: send the whole "
+            "file"
+        )
+
+
+def _truncation(header: WavHeader) -> str:
+    remedy = "send the whole file"
+    if header.promised >= PIPE_SIZES.start:
+        remedy = (
+            "a recorder that writes into a pipe does not know the length; record into a file, or "
+            "for a fixed duration"
+        )
+    return (
+        f"the WAV header promises {header.promised} bytes of audio, but the file holds "
+        f"{header.held}: {remedy}"
+    )
+
+
+def _check_format(channels: int, sample_rate: int, limits: AudioLimits) -> None:
+    if channels > limits.max_channels:
+        raise TooManyChannels(
+            f"the recording has {channels} channels, at most {limits.max_channels} are accepted: "
+            "send only the array's channels"
+        )
+    if not limits.min_sample_rate <= sample_rate <= limits.max_sample_rate:
+        raise UnsupportedSampleRate(
+            f"the sample rate is {sample_rate} Hz, accepted are {limits.min_sample_rate} to "
+            f"{limits.max_sample_rate} Hz: check the header, or resample the recording"
+        )
+
+
+def _check_length(frames: int, sample_rate: int, limits: AudioLimits) -> None:
+    if frames <= 0:
+        raise EmptyAudio("the recording holds no samples: check that the recorder wrote any")
+    if frames >= UNKNOWN_FRAMES:
+        raise TruncatedAudio(
+            "the header does not say how long the recording is: record into a file, not a pipe"
+        )
+    if frames > limits.max_seconds * sample_rate:
+        raise AudioTooLong(
+            f"the recording lasts {frames / sample_rate:.0f} s by its header, at most "
+            f"{limits.max_seconds:g} s are accepted: split it"
+        )

@@ -1,0 +1,1 @@
+"""``neuralmusic bench``: what a window and a stream cost on this machine."""

@@ -1,0 +1,25 @@
+"""The answer of ``POST /localize`` as it is sent, written window by window."""
+
+from __future__ import annotations
+
+from io import BytesIO
+
+from service.recordings.answers import LocalizationAnswer, WindowAnswer
+from service.recordings.results import RecordingResult
+
+
+def localization_json(result: RecordingResult, *, spectrum: bool = False) -> bytes:
+    """A ``LocalizationAnswer`` in UTF-8, without ever having models of all its windows.
+
+    A spectrum nobody asked for is absent, not null.
+    """
+    whole = LocalizationAnswer.of(result).model_dump_json(exclude_unset=True)
+    # In a JSON string the quotes would be escaped: this occurs once, whatever an array is called.
+    before, after = whole.split('"windows":[]')
+    body = BytesIO()
+    body.write(f'{before}"windows":['.encode())
+    for index, window in enumerate(result.windows):
+        answer = WindowAnswer.of(window, spectrum=spectrum)
+        body.write(b"," * bool(index) + answer.model_dump_json(exclude_unset=True).encode())
+    body.write(f"]{after}".encode())
+    return body.getvalue()

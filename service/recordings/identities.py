@@ -1,0 +1,32 @@
+"""Which talker is which over a recording's windows: the tracker's ids on the windows' sources."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+from service.doa.peaks import circular_difference
+from service.doa.tracking import Detection, Track, Tracker
+from service.inference.results import Source
+from service.recordings.results import WindowResult
+
+SAME = math.radians(15.0)
+"""Radians; further from every track a source is nobody's"""
+
+
+def identified(windows: Iterable[WindowResult]) -> Iterator[WindowResult]:
+    """The windows with ids on their sources; directions and confidences stay the windows' own."""
+    tracker = Tracker()
+    for window in windows:
+        sources = window.estimate.sources
+        detections = [Detection(source.azimuth, source.confidence) for source in sources]
+        tracks = tracker.update(detections, window.t_end)
+        named = tuple(_named(source, tracks) for source in sources)
+        yield replace(window, estimate=replace(window.estimate, sources=named))
+
+
+def _named(source: Source, tracks: Sequence[Track]) -> Source:
+    offs = [(abs(circular_difference(t.azimuth, source.azimuth)), t.id) for t in tracks if t.active]
+    off, track = min(offs, default=(math.inf, None))
+    return replace(source, id=track) if off <= SAME else source

@@ -1,0 +1,112 @@
+"""One recording to localize: what a worker is given, tells meanwhile, and gives back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import BinaryIO
+
+from service.audio.recording import AudioLimits, Recording
+from service.errors import DoaError, InvalidOption
+from service.inference.registry import BundleRegistry
+from service.recordings.answer_json import localization_json
+from service.recordings.localize import localize_recording
+from service.recordings.options import LocalizeRequest
+
+MAX_WINDOWS = 50_000
+"""Of one answer"""
+MAX_SPECTRUM_WINDOWS = 10_000
+"""Of one answer with spectra, which has 360 numbers for every window"""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingJob:
+    """Everything but the recording's file."""
+
+    asked: LocalizeRequest
+    """With the noise profile itself in its options"""
+    limits: AudioLimits
+    request_id: str | None = None
+    """For the log"""
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """The header was read and found good; nothing is decoded yet."""
+
+    duration: float
+    """Seconds"""
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """The share of the recording that is done."""
+
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class Localized:
+    """The answer."""
+
+    body: bytes
+    """JSON"""
+    stretches: Mapping[int, int]
+    """How often so many windows were computed at a time"""
+    seconds: float
+    """That it took"""
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """The recording could not be localized."""
+
+    error: DoaError
+
+
+Report = Opened | Progress
+Outcome = Localized | Refused
+
+
+def localize_file(
+    job: RecordingJob,
+    file: BinaryIO,
+    registry: BundleRegistry,
+    report: Callable[[Report], None],
+    processes: int = 1,
+) -> tuple[bytes, Mapping[int, int]]:
+    """The answer's JSON, and how often so many windows were computed at a time.
+
+    Raises
+    ------
+    DoaError
+        If the recording or the options cannot be used.
+    WorkerLost
+        If one of the processes was killed.
+    """
+    asked = job.asked
+    with Recording.open(file, job.limits) as recording:
+        _check_windows(recording.duration, asked)
+        report(Opened(recording.duration))
+        result = localize_recording(
+            recording,
+            replace(asked.options, spectra=asked.spectrum),
+            registry,
+            lambda share: report(Progress(share)),
+            processes=processes,
+        )
+    return localization_json(result, spectrum=asked.spectrum), result.stretches
+
+
+def _check_windows(duration: float, asked: LocalizeRequest) -> None:
+    hop = asked.options.hop_s
+    count = int(duration / hop) + 1
+    most = MAX_SPECTRUM_WINDOWS if asked.spectrum else MAX_WINDOWS
+    if count > most:
+        spectra = " with spectra" if asked.spectrum else ""
+        least = math.ceil(1000 * duration / (most - 1)) / 1000
+        raise InvalidOption(
+            f"{duration:.0f} s at hop_s={hop:g} are {count} windows, one answer has at most "
+            f"{most}{spectra}: take hop_s={least:g} or more, or split the recording"
+        )

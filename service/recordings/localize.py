@@ -1,0 +1,167 @@
+"""A whole recording: from a file's blocks to windows, directions, a summary and warnings."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from service.audio.recording import Recording
+from service.doa.array import MicrophoneArray
+from service.doa.diagnostics import ChannelDiagnostics
+from service.doa.orientation import Orientation
+from service.doa.silence import SILENCE
+from service.doa.stft import Stft
+from service.doa.types import FloatArray
+from service.inference.choice import (
+    check_num_sources,
+    choose_channels,
+    choose_method,
+    method_warnings,
+)
+from service.inference.classical import ClassicalLocalizer
+from service.inference.localizer import Localizer, estimate_stretch, localizer_of
+from service.inference.registry import BundleRegistry
+from service.inference.results import AudioWarning, Method, WindowEstimate
+from service.inference.windows import Stretch, stretches, windows
+from service.recordings.forked_workers import in_order
+from service.recordings.identities import identified
+from service.recordings.packed_windows import PackedWindows
+from service.recordings.results import LocalizeOptions, RecordingResult, WindowResult
+from service.recordings.summary import summarise
+
+STRETCH_WINDOWS = 12
+"""Windows that are computed at a time: more share little more and cost memory"""
+STRETCH_SAMPLES = STRETCH_WINDOWS * 16 * 16_384
+"""Of all these windows' channels: as many as of default windows of 16 microphones; longer windows,
+or those of more microphones, go fewer at a time, for memory's sake"""
+
+
+def localize_recording(
+    recording: Recording,
+    options: LocalizeOptions,
+    registry: BundleRegistry,
+    progress: Callable[[float], None] | None = None,
+    *,
+    processes: int = 1,
+) -> RecordingResult:
+    """Localize a recording window by window, in memory bounded by the window.
+
+    Parameters
+    ----------
+    progress : callable, optional
+        Told the share of the recording that is done, in [0, 1].
+    processes : int
+        That compute windows of a long recording; the result does not depend on it.
+
+    Raises
+    ------
+    DoaError
+        If the options do not fit the recording, the array or the models.
+    WorkerLost
+        If one of the processes was killed.
+    """
+    array = options.array
+    channel_map = choose_channels(recording.channels, array, options.channel_map)
+    check_num_sources(options.num_sources, array.num_microphones)
+    method, bundle = choose_method(options.method, options.model, array, registry)
+    stft = bundle.stft if bundle else Stft()
+    localizer = (
+        localizer_of(bundle, array, options.noise)
+        if bundle
+        else ClassicalLocalizer(method, array, stft, options.noise)
+    )
+    diagnostics = ChannelDiagnostics(stft.sample_rate, array.num_microphones, channel_map)
+    blocks = _observed(recording.blocks(channel_map, stft.sample_rate), diagnostics)
+    cut = windows(blocks, stft.sample_rate, options.window_s, options.hop_s, stft.n_fft - stft.hop)
+    sizes: Counter[int] = Counter()
+    of_window = array.num_microphones * round(options.window_s * stft.sample_rate)
+    most = min(STRETCH_WINDOWS, max(1, STRETCH_SAMPLES // of_window))
+    joined = _counted(stretches(cut, most), sizes)
+    estimated = in_order(partial(_estimate, localizer, options), joined, processes)
+    results = PackedWindows(options.orientation, spectra=options.spectra)
+    for window in identified(_placed(estimated, options, recording.duration, progress)):
+        results.append(window)
+    if progress:
+        progress(1.0)
+    return RecordingResult(
+        method=method,
+        model=bundle.identity if bundle else None,
+        sample_rate=recording.sample_rate,
+        channels=recording.channels,
+        duration=recording.duration,
+        array=array,
+        channel_map=channel_map,
+        windows=results,
+        summary=summarise(results),
+        warnings=_warnings(options, method, array, diagnostics),
+        stretches=sizes,
+    )
+
+
+def _counted(joined: Iterable[Stretch], sizes: Counter[int]) -> Iterator[Stretch]:
+    for stretch in joined:
+        sizes[len(stretch.starts)] += 1
+        yield stretch
+
+
+def _estimate(
+    localizer: Localizer, options: LocalizeOptions, stretch: Stretch
+) -> list[WindowEstimate]:
+    """Estimates of a stretch's windows; of silent ones nothing is reported."""
+    most = min(options.max_sources, options.array.num_microphones - 1)
+    estimates = estimate_stretch(localizer, stretch, options.num_sources, most)
+    heard = (w[:, : max(n, 1)] for w, n in zip(stretch.windows, stretch.heard, strict=True))
+    return [_unless_silent(*each) for each in zip(heard, estimates, strict=True)]
+
+
+def _unless_silent(heard: FloatArray, estimate: WindowEstimate) -> WindowEstimate:
+    silent = float(np.vecdot(heard, heard).sum()) < SILENCE * heard.size
+    return WindowEstimate((), np.zeros_like(estimate.spectrum)) if silent else estimate
+
+
+def _placed(
+    estimated: Iterable[tuple[Stretch, list[WindowEstimate]]],
+    options: LocalizeOptions,
+    duration: float,
+    progress: Callable[[float], None] | None,
+) -> Iterator[WindowResult]:
+    """Windows with their time and with what of them is to be reported."""
+    for stretch, estimates in estimated:
+        for start, estimate in zip(stretch.starts, estimates, strict=True):
+            t_end = min(start + options.window_s, duration)
+            reported = _on_robot(estimate, options.orientation)
+            yield WindowResult(start, t_end, reported)
+        if progress:
+            progress(min(1.0, stretch.starts[-1] / duration))
+
+
+def _on_robot(estimate: WindowEstimate, orientation: Orientation) -> WindowEstimate:
+    """The sources in the robot's frame, without what lies in excluded sectors."""
+    sources = tuple(
+        replace(source, azimuth=orientation.on_robot(source.azimuth))
+        for source in estimate.sources
+        if not orientation.excludes(source.azimuth)
+    )
+    return replace(estimate, sources=sources)
+
+
+def _observed(
+    blocks: Iterable[FloatArray], diagnostics: ChannelDiagnostics
+) -> Iterator[FloatArray]:
+    for block in blocks:
+        diagnostics.add(block)
+        yield block
+
+
+def _warnings(
+    options: LocalizeOptions,
+    method: Method,
+    array: MicrophoneArray,
+    diagnostics: ChannelDiagnostics,
+) -> list[AudioWarning]:
+    found = [AudioWarning(f.code, f.detail) for f in diagnostics.findings(array)]
+    return found + method_warnings(options.method, method, array)

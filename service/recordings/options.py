@@ -1,0 +1,243 @@
+"""The options of ``POST /localize``: one table reads them and documents them.
+
+They arrive as text, as query parameters or form fields, and leave as ``LocalizeOptions``.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any
+
+from service.doa.array import MicrophoneArray, validate_channel_map
+from service.doa.orientation import Orientation
+from service.doa.presets import PRESETS
+from service.errors import InvalidOption, TooManySources, UnknownMethod
+from service.inference.results import MAX_SOURCES, METHODS
+from service.recordings.geometry import read_array, read_channel_map
+from service.recordings.results import (
+    DEFAULT_HOP_S,
+    DEFAULT_MAX_SOURCES,
+    DEFAULT_WINDOW_S,
+    LocalizeOptions,
+)
+
+NUMBER = re.compile(r"-?(\d+(\.\d+)?(e-?\d+)?|\.\d+(e-?\d+)?|\d+\.)", re.ASCII | re.IGNORECASE)
+"""Not float() alone: it takes "nan", "1_0" and digits of any script. Nothing in it may match in two
+ways: 64,000 digits and a letter would take minutes"""
+MAX_DIGITS = 64
+"""Characters of a number"""
+MAX_SECTORS = 16
+"""As many as a stream may exclude"""
+SHOWN = 60
+"""Characters of a client's value that an error repeats"""
+
+
+@dataclass(frozen=True, slots=True)
+class LocalizeRequest:
+    """Everything that a request asks for beside its recording."""
+
+    options: LocalizeOptions
+    spectrum: bool = False
+    noise: str | None = None
+    """Name of the stored profile of the robot's own noise"""
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """How one option is read and documented."""
+
+    read: Callable[[str], Any]
+    """Raises ValueError with the rest of a sentence that begins with the option's name"""
+    schema: Mapping[str, Any]
+    description: str
+    example: str | None = None
+
+
+def number(low: float, high: float, default: float, description: str) -> Option:
+    """A real number within bounds."""
+
+    def read(text: str) -> float:
+        if len(text) > MAX_DIGITS or not NUMBER.fullmatch(text):
+            raise ValueError(f"must be a number from {low:g} to {high:g}")
+        value = float(text)
+        if not low <= value <= high:
+            raise ValueError(f"must be from {low:g} to {high:g}")
+        return value
+
+    bounds = {"type": "number", "minimum": low, "maximum": high, "default": default}
+    return Option(read, bounds, description)
+
+
+def integer(low: int, high: int, default: int | None, description: str) -> Option:
+    """A whole number of at least ``low``; what lies above ``high`` is for the caller to judge."""
+
+    def read(text: str) -> int:
+        if not re.fullmatch(r"-?\d{1,9}", text, re.ASCII) or int(text) < low:
+            raise ValueError(f"must be a whole number from {low} to {high}")
+        return int(text)
+
+    bounds = {"type": "integer", "minimum": low, "maximum": high}
+    if default is not None:
+        bounds["default"] = default
+    return Option(read, bounds, description)
+
+
+def read_flag(text: str) -> bool:
+    """A truth value as clients write it."""
+    if text.lower() in ("true", "1", "yes", "on"):
+        return True
+    if text.lower() in ("false", "0", "no", "off"):
+        return False
+    raise ValueError("must be true or false")
+
+
+def read_sectors(text: str) -> tuple[tuple[float, float], ...]:
+    """Sectors as ``80:100,350:10``."""
+    sentence = "must list sectors as from:to in degrees from -360 to 360, as 80:100,350:10"
+    parts = text.split(",", MAX_SECTORS)
+    if len(parts) > MAX_SECTORS:
+        raise ValueError(f"may list at most {MAX_SECTORS} sectors")
+    sectors = []
+    for part in parts:
+        if not re.fullmatch(r"\s*-?\d{1,3}(\.\d{1,6})?:-?\d{1,3}(\.\d{1,6})?\s*", part, re.ASCII):
+            raise ValueError(sentence)
+        first, last = map(float, part.split(":"))
+        if max(abs(first), abs(last)) > 360 or (last - first) % 360 == 0:
+            raise ValueError(f"{sentence}; none may be empty or the whole circle")
+        sectors.append((first, last))
+    return tuple(sectors)
+
+
+OPTIONS: Mapping[str, Option] = {
+    "array": Option(
+        read_array,
+        {"type": "string"},
+        "Required: a preset's name (`GET /arrays` lists them), or JSON with `positions_m`, one "
+        "`[x, y, z]` in metres per microphone (x forward, y left, z up), and an optional `name`.",
+        example="respeaker-usb-4mic-v2",
+    ),
+    "channel_map": Option(
+        read_channel_map,
+        {"type": "string"},
+        "The recording's channel of every microphone, from 0, as `1,2,3,4` or a JSON list. "
+        "Without it the recording must have exactly one channel per microphone.",
+        example="1,2,3,4",
+    ),
+    "model": Option(
+        str,
+        {"type": "string"},
+        "A model's name (`GET /models` lists them). Without it the first that fits the array.",
+    ),
+    "method": Option(
+        str,
+        {"type": "string", "enum": list(METHODS)},
+        "Without it `neural` where a model fits the array, else `norm_music`.",
+    ),
+    "num_sources": integer(
+        1,
+        MAX_SOURCES,
+        None,
+        "The known number of sources, those in excluded sectors included, below the number of "
+        "microphones. It wins over `max_sources`; without it the number is estimated for every "
+        "window.",
+    ),
+    "max_sources": integer(
+        1, MAX_SOURCES, DEFAULT_MAX_SOURCES, "Most sources where the number is estimated."
+    ),
+    "window_s": number(0.128, 10, DEFAULT_WINDOW_S, "Seconds of audio per result."),
+    "hop_s": number(0.02, 10, DEFAULT_HOP_S, "Seconds from one result to the next."),
+    "yaw_deg": number(
+        -360,
+        360,
+        0.0,
+        "Degrees that the array is turned on the robot, counter-clockwise: added to every azimuth.",
+    ),
+    "exclude_deg": Option(
+        read_sectors,
+        {"type": "string"},
+        "Sectors in which nothing is reported, as `from:to` in degrees, counter-clockwise, after "
+        "the yaw offset, separated by commas.",
+        example="80:100,350:10",
+    ),
+    "noise": Option(
+        str,
+        {"type": "string"},
+        "Name of a profile of the robot's own noise, which is taken away (`GET /noise` lists them, "
+        "`PUT /noise/{name}` stores one).",
+    ),
+    "spectrum": Option(
+        read_flag,
+        {"type": "boolean", "default": False},
+        "Whether every window has its spatial spectrum, 360 values, in the answer.",
+    ),
+}
+
+
+def read_options(pairs: Iterable[tuple[str, str]]) -> LocalizeRequest:
+    """Read options from name and text pairs.
+
+    Raises
+    ------
+    InvalidOption
+        If one is unknown, given twice, unreadable or out of range.
+    ArrayError, UnknownMethod, TooManySources
+        If one is readable but names nothing that there is.
+    """
+    values: dict[str, Any] = {}
+    for name, text in pairs:
+        if name in values:
+            raise InvalidOption(f"{name} was given twice: give it once")
+        values[name] = _read(name, text.strip())
+    if "array" not in values:
+        raise InvalidOption(
+            "array is missing: name the microphone array, one of "
+            f"{', '.join(PRESETS)}, or send its geometry as JSON with positions_m"
+        )
+    spectrum = values.pop("spectrum", False)
+    noise = values.pop("noise", None)
+    values["orientation"] = Orientation.of_degrees(
+        values.pop("yaw_deg", 0.0), values.pop("exclude_deg", ())
+    )
+    _check(values)
+    return LocalizeRequest(LocalizeOptions(**values), spectrum, noise)
+
+
+def _read(name: str, text: str) -> Any:
+    option = OPTIONS.get(name)
+    if option is None:
+        close = get_close_matches(name, OPTIONS, n=1)
+        hint = f"did you mean {close[0]}? " if close else ""
+        raise InvalidOption(
+            f"there is no option {name[:SHOWN]!r}: {hint}the options are {', '.join(OPTIONS)}"
+        )
+    if not text:
+        raise InvalidOption(f"{name} is empty: give a value or leave it out")
+    try:
+        return option.read(text)
+    except ValueError as error:
+        shown = text if len(text) <= SHOWN else text[:SHOWN] + "..."
+        raise InvalidOption(f"{name} {error}, but is {json.dumps(shown)}") from None
+
+
+def _check(values: dict[str, Any]) -> None:
+    """Bounds that depend on other options, or that have an error of their own."""
+    array: MicrophoneArray = values["array"]
+    if "channel_map" in values:
+        validate_channel_map(values["channel_map"], array.num_microphones)
+    method = values.get("method")
+    if method is not None and method not in METHODS:
+        raise UnknownMethod(
+            f"no method is called {method[:SHOWN]!r}: the methods are {', '.join(METHODS)}"
+        )
+    most = min(MAX_SOURCES, array.num_microphones - 1)
+    if values.get("num_sources", 1) > most:
+        raise TooManySources(
+            f"num_sources is {values['num_sources']}, but at most {most} are told apart with "
+            f"{array.num_microphones} microphones: ask for fewer, or leave num_sources out"
+        )
+    if values.get("max_sources", 1) > MAX_SOURCES:
+        raise InvalidOption(f"max_sources must be at most {MAX_SOURCES}")

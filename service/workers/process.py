@@ -1,0 +1,41 @@
+"""A child process of the service and the socket to it."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+
+from service.workers.link import worker_environment
+
+END_S = 5.0
+"""Seconds that a worker has to end before it is killed"""
+
+
+class WorkerProcess:
+    """``python -m MODULE FD``, which serves the other end of ``connection``."""
+
+    def __init__(self, module: str) -> None:
+        self.connection, theirs = socket.socketpair()
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", module, str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                # Decoders print there what they find wrong with a recording; logs go to stderr.
+                stdout=subprocess.DEVNULL,
+                env=worker_environment(),
+            )
+        self.pid = self._process.pid
+
+    def kill(self) -> None:
+        """End the process at once; the socket tells its reader."""
+        self._process.kill()
+
+    def end(self) -> int:
+        """Close the socket, wait for the process; its exit status, negative for a signal."""
+        self.connection.close()
+        try:
+            return self._process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            return self._process.wait()

@@ -1,0 +1,271 @@
+"""Where recordings are localized: a bounded number of processes, a bounded number that wait."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import threading
+import time
+from collections.abc import Callable
+from typing import BinaryIO
+
+import anyio
+import anyio.from_thread
+import anyio.to_thread
+from starlette.requests import ClientDisconnect, Request
+
+from service.errors import DecodingFailed, DoaError, Draining, Overloaded, WorkerLost
+from service.observability.metrics import Metrics
+from service.recordings.job import Localized, Opened, Outcome, RecordingJob, Refused, Report
+from service.workers.link import Link, Setup
+from service.workers.process import WorkerProcess
+
+log = logging.getLogger(__name__)
+
+CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL}
+"""Signals that a decoder's own fault ends a process with; others come from outside"""
+
+Admit = Callable[[Opened], None]
+"""Raises a DoaError where a recording of this length is not to be localized"""
+
+
+class RecordingWorker:
+    """One worker process; every call blocks the thread that makes it."""
+
+    def __init__(self, setup: Setup, stall_s: float) -> None:
+        self.setup = setup
+        self._stall_s = stall_s
+        self._process = WorkerProcess("service.workers.recording")
+        self._link = Link(self._process.connection)
+        self.pid = self._process.pid
+
+    def wait_ready(self) -> None:
+        """Set it up; WorkerLost where it does not come up."""
+        try:
+            self._link.send(self.setup)
+            self._link.receive()
+            self._process.connection.settimeout(self._stall_s)
+        except (EOFError, OSError) as error:
+            raise self._lost(error) from error
+
+    def localize(
+        self, job: RecordingJob, file: BinaryIO, check: Callable[[Report], None]
+    ) -> Localized:
+        """Have one recording localized.
+
+        Parameters
+        ----------
+        check : callable
+            Told of every step; what it raises ends the work and passes through.
+
+        Raises
+        ------
+        DoaError
+            If the recording or the options cannot be used.
+        DecodingFailed, WorkerLost
+            If the process crashed, stalled or was killed; this worker is of no more use then.
+        """
+        try:
+            self._link.send(job, [file.fileno()])
+            outcome = self._converse(check)
+        except (EOFError, OSError) as error:
+            raise self._lost(error) from error
+        if isinstance(outcome, Refused):
+            raise outcome.error
+        return outcome
+
+    def kill(self) -> None:
+        """End it at once, whatever it does."""
+        self._process.kill()
+
+    def end(self) -> None:
+        """End it in order, while it does nothing."""
+        self._process.end()
+
+    def _converse(self, check: Callable[[Report], None]) -> Outcome:
+        while True:
+            message = self._link.receive()
+            if not isinstance(message, Report):
+                outcome: Outcome = message
+                return outcome
+            try:
+                check(message)
+            except BaseException:
+                self._link.send(False)
+                self._link.receive()
+                raise
+            self._link.send(True)
+
+    def _lost(self, error: Exception) -> DoaError:
+        """What to say of a process that ended or gave no sign; it is gone afterwards."""
+        stalled = isinstance(error, TimeoutError)
+        if stalled:
+            self._process.kill()
+        status = self._process.end()
+        log.error("recording worker %s ended with status %s: %r", self.pid, status, error)
+        if stalled:
+            return DecodingFailed(
+                f"localizing the recording gave no sign for {self._stall_s:g} s and was ended: "
+                "send it as WAV or FLAC, or in pieces"
+            )
+        if -status in CRASHES:
+            return DecodingFailed(
+                "the decoder crashed on this recording: send it as WAV or FLAC, written anew"
+            )
+        return WorkerLost("the process that localized this recording ended: send it again")
+
+
+class RecordingWorkers:
+    """At most ``most`` recordings at a time and ``queue`` waiting ones; more are refused."""
+
+    def __init__(self, most: int, queue: int, stall_s: float, metrics: Metrics) -> None:
+        self._limiter = anyio.CapacityLimiter(most)
+        self._capacity = most + queue
+        self._stall_s = stall_s
+        self._metrics = metrics
+        self._draining = False
+        self._lock = threading.Lock()
+        self._idle: list[RecordingWorker] = []
+        self._busy: set[RecordingWorker] = set()
+        self.admitted = 0
+        """Recordings in work or waiting"""
+        self.setup: Setup | None = None
+        """What new workers run with; set before the first one is needed"""
+
+    def check(self) -> None:
+        """Raise Draining or Overloaded where one more recording would be refused."""
+        self._check_draining()
+        if self.admitted >= self._capacity:
+            raise Overloaded(
+                f"{self.admitted} recordings are being localized or wait for it: try again later"
+            )
+
+    async def run(
+        self, request: Request, job: RecordingJob, file: BinaryIO, admit: Admit | None = None
+    ) -> Localized:
+        """Have a recording localized once a worker is free.
+
+        It ends once nobody waits for it any more: a robot that times out and retries would
+        otherwise pile up work.
+        """
+
+        audio_s = 0.0
+
+        def check(message: Report) -> None:
+            nonlocal audio_s
+            self._check_draining()
+            if isinstance(message, Opened):
+                audio_s = message.duration
+                if admit is not None:
+                    admit(message)
+            if anyio.from_thread.run(request.is_disconnected):
+                raise ClientDisconnect
+
+        self.check()
+        self.admitted += 1
+        came = time.monotonic()
+        try:
+            localized = await anyio.to_thread.run_sync(
+                self._localize, job, file, check, limiter=self._limiter
+            )
+        finally:
+            self.admitted -= 1
+        self._count(localized, audio_s, time.monotonic() - came)
+        return localized
+
+    @property
+    def pids(self) -> list[int]:
+        """Of the running processes."""
+        with self._lock:
+            return [worker.pid for worker in (*self._idle, *self._busy)]
+
+    async def start(self) -> None:
+        """Start the first worker and wait until it is ready."""
+        await anyio.to_thread.run_sync(lambda: self._give_back(self._take()))
+
+    def prepare(self, setup: Setup) -> RecordingWorker:
+        """A worker with a new setup that is ready, for ``renew``; WorkerLost if it does not come
+        up."""
+        worker = RecordingWorker(setup, self._stall_s)
+        worker.wait_ready()
+        return worker
+
+    def renew(self, prepared: RecordingWorker) -> None:
+        """Let new recordings go to workers with this one's setup; running ones are finished."""
+        with self._lock:
+            self.setup = prepared.setup
+            idle, self._idle = self._idle, [prepared]
+        for worker in idle:
+            worker.end()
+
+    def drain(self) -> None:
+        """End what runs at its next step, and refuse what comes."""
+        self._draining = True
+
+    def stop(self) -> None:
+        """End all processes."""
+        self._draining = True
+        with self._lock:
+            idle, self._idle = self._idle, []
+            for worker in self._busy:
+                worker.kill()
+        for worker in idle:
+            worker.end()
+
+    def _count(self, localized: Localized, audio_s: float, seconds: float) -> None:
+        """Count a recording that was answered after so many seconds."""
+        self._metrics.worked("file", max(seconds - localized.seconds, 0.0), localized.seconds)
+        self._metrics.audio("file", audio_s)
+        for windows, times in localized.stretches.items():
+            for _ in range(times):
+                self._metrics.batch(windows)
+
+    def _localize(
+        self, job: RecordingJob, file: BinaryIO, check: Callable[[Report], None]
+    ) -> Localized:
+        worker = self._take()
+        try:
+            localized = worker.localize(job, file, check)
+        except (DecodingFailed, WorkerLost):
+            with self._lock:
+                self._busy.discard(worker)
+            self._check_draining()
+            self._metrics.worker_lost("file")
+            raise
+        except BaseException:
+            self._give_back(worker)
+            raise
+        self._give_back(worker)
+        return localized
+
+    def _take(self) -> RecordingWorker:
+        """A worker for one recording, started where none is idle."""
+        with self._lock:
+            worker = self._idle.pop() if self._idle else None
+            if worker is not None:
+                self._busy.add(worker)
+                return worker
+            assert self.setup is not None
+            worker = RecordingWorker(self.setup, self._stall_s)
+            self._busy.add(worker)
+        try:
+            worker.wait_ready()
+        except BaseException:
+            with self._lock:
+                self._busy.discard(worker)
+            self._metrics.worker_lost("file")
+            raise
+        return worker
+
+    def _give_back(self, worker: RecordingWorker) -> None:
+        with self._lock:
+            self._busy.discard(worker)
+            keep = worker.setup is self.setup and not self._draining
+            if keep:
+                self._idle.append(worker)
+        if not keep:
+            worker.end()
+
+    def _check_draining(self) -> None:
+        if self._draining:
+            raise Draining("the service is shutting down: try again in a moment")

@@ -1,0 +1,25 @@
+"""What the tests of learned methods share: seeded parameters and a handful of scenes."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from overfitting import talkers
+
+from model_export.simulation.protocol import SimulatedScene
+
+
+@pytest.fixture(autouse=True)
+def seeded() -> None:
+    torch.manual_seed(0)
+
+
+@pytest.fixture(scope="session")
+def one_of_each_count() -> list[SimulatedScene]:
+    """One, two and three talkers: methods have outputs for each."""
+    return talkers((1, 2, 3))
+
+
+@pytest.fixture(scope="session")
+def scenes() -> list[SimulatedScene]:
+    return talkers()

@@ -1,0 +1,246 @@
+"""The paper's pipeline under training: geometry, losses, rooms of the bound array, learning."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from model_export.simulation import rooms
+from model_export.simulation.array_rooms import ArrayRooms, simulate_array_chunk
+from model_export.simulation.scenes import WINDOW_SAMPLES, Scene
+from model_export.training.config import ANY_ARRAY, PAPER
+from model_export.training.regression import (
+    RegressionTask,
+    counted_projector,
+    rotated_products,
+    subspace_distance,
+)
+from model_export.training.subspace import signal_projector
+from model_export.training.task import STFT, Batch, task_of
+from service.doa.fusion import attention_fusion, attention_weights, normalise
+from service.doa.presets import preset
+from service.doa.steering import azimuth_grid, steering_vectors
+from service.doa.subspace import signal_power, signal_subspace
+from service.doa.types import FloatArray
+
+pytestmark = pytest.mark.torch
+
+
+ARRAY = preset("respeaker-usb-4mic-v2")
+CONFIG = replace(PAPER, grid_size=72)
+
+
+def plane_waves(rng: np.random.Generator, *azimuths_deg: float) -> Scene:
+    """Anechoic noise bursts from these azimuths, and sensor noise 30 dB below."""
+    azimuth = np.deg2rad(np.array(azimuths_deg, dtype=float))
+    frequencies = np.fft.rfftfreq(WINDOW_SAMPLES, 1 / STFT.sample_rate)
+    steering = steering_vectors(ARRAY.positions, frequencies, azimuth)  # (F, N, M)
+    bursts = np.repeat(rng.uniform(0.1, 1, (len(azimuth), 65)), 256, axis=1)
+    sources = np.fft.rfft(bursts * rng.standard_normal((len(azimuth), WINDOW_SAMPLES)))
+    audio = np.fft.irfft(np.einsum("fnm,mf->nf", steering, sources), WINDOW_SAMPLES)
+    audio += 0.02 * rng.standard_normal(audio.shape)
+    return Scene(audio.astype(np.float32), ARRAY.positions, azimuth)
+
+
+def batch_of(task: RegressionTask, *scenes: tuple[float, ...]) -> Batch:
+    rng = np.random.default_rng(0)
+    return task.collate(rng, [plane_waves(rng, *azimuths) for azimuths in scenes])
+
+
+@pytest.fixture
+def task() -> RegressionTask:
+    torch.manual_seed(0)
+    return RegressionTask(CONFIG)
+
+
+def turned(batch: Batch, angle: float) -> Batch:
+    """The batch with array and labels turned by a further angle in radians."""
+    return batch | {
+        "rotation": batch["rotation"] + angle,
+        "azimuth": batch["azimuth"] + angle,
+    }
+
+
+def fused(task: RegressionTask, batch: Batch) -> Tensor:
+    result, _ = task._run(batch)
+    return result.fused
+
+
+@torch.no_grad()
+def test_turning_array_and_labels_turns_the_spectrum_and_keeps_the_loss(
+    task: RegressionTask,
+) -> None:
+    task.model.eval()
+    batch = batch_of(task, (20.0,), (100.0, 250.0))
+    steps = 13
+    rotated = turned(batch, steps * 2 * np.pi / CONFIG.grid_size)
+    torch.testing.assert_close(
+        fused(task, rotated), fused(task, batch).roll(steps, -1), rtol=1e-3, atol=1e-4
+    )
+    before, after = task.losses(batch), task.losses(rotated)
+    for name in before:
+        torch.testing.assert_close(after[name], before[name], rtol=1e-3, atol=1e-4)
+
+
+@torch.no_grad()
+def test_turning_the_labels_alone_changes_the_loss(task: RegressionTask) -> None:
+    task.model.eval()
+    batch = batch_of(task, (20.0,))
+    spoiled = turned(batch, 1.0) | {"rotation": batch["rotation"]}
+    assert abs(task.losses(spoiled)["spectrum"] - task.losses(batch)["spectrum"]) > 1e-5
+
+
+def test_batches_are_turned_at_random_and_their_audio_is_not(task: RegressionTask) -> None:
+    rng = np.random.default_rng(0)
+    scene = plane_waves(rng, 20.0)
+    first, second = task.collate(rng, [scene]), task.collate(rng, [scene])
+    assert first["rotation"] != second["rotation"]
+    torch.testing.assert_close(first["features"], second["features"])
+    for batch in (first, second):
+        label = (batch["azimuth"][0, 0] - batch["rotation"]).item()
+        assert np.rad2deg(label) == pytest.approx(20.0, abs=1e-3)
+
+
+@torch.no_grad()
+def test_the_service_computes_the_same_fused_spectra(task: RegressionTask) -> None:
+    task.model.eval()
+    batch = batch_of(task, (20.0,), (100.0, 250.0)) | {"rotation": torch.tensor(0.0)}
+    model = task.model
+    parts = model.covariance(batch["features"]).numpy()
+    steering = steering_vectors(ARRAY.positions, STFT.frequencies, azimuth_grid(CONFIG.grid_size))
+    for scene, num_sources in enumerate((1, 2)):
+        covariance = parts[scene, :, 0] + 1j * parts[scene, :, 1]
+        power = signal_power(signal_subspace(covariance, num_sources), steering)
+        spectra = normalise(1 / (1 - np.minimum(power, 1) + model.log_floor.exp().item()))
+        attention = attention_weights(
+            spectra, model.fusion.squeeze.weight.numpy(), model.fusion.excite.weight.numpy()
+        )
+        np.testing.assert_allclose(
+            fused(task, batch)[scene], attention_fusion(spectra, attention), atol=1e-4
+        )
+
+
+def test_projectors_of_mixed_counts_are_those_of_each_scene_alone() -> None:
+    torch.manual_seed(0)
+    root = torch.randn(6, 5, 4, 4, dtype=torch.complex64)
+    covariance = root @ root.mH
+    counts = torch.tensor([2, 0, 1, 4, 3, 1])
+    projectors = counted_projector(covariance, counts)
+    for scene, count in enumerate([2, 1, 1, 3, 3, 1]):  # 0 and 4 of 4 have no two subspaces
+        torch.testing.assert_close(projectors[scene], signal_projector(covariance[scene], count))
+
+
+def test_the_subspace_distance_is_zero_at_the_truth_and_one_across_it() -> None:
+    azimuth = torch.deg2rad(torch.tensor([[70.0, 0.0, 0.0, 0.0]]))
+    mask = torch.tensor([[True, False, False, False]])
+    products = rotated_products(ARRAY, torch.tensor(0.0), azimuth)
+    steering = steering_vectors(ARRAY.positions, STFT.frequencies, azimuth[0, :1].numpy())
+    truth = torch.from_numpy(steering @ steering.conj().swapaxes(-1, -2))[None] / 4
+    across = torch.eye(4) - truth
+    assert subspace_distance(truth, products, mask).item() == pytest.approx(0, abs=1e-5)
+    assert subspace_distance(across, products, mask).item() == pytest.approx(1, abs=1e-5)
+    assert subspace_distance(across, products, torch.zeros_like(mask)).item() == 0
+
+
+def test_the_loss_is_the_weighted_sum_and_reaches_every_parameter(task: RegressionTask) -> None:
+    losses = task.losses(batch_of(task, (20.0,), (100.0, 250.0), ()))
+    expected = losses["spectrum"] + 0.5 * losses["count"] + losses["subspace"]
+    torch.testing.assert_close(losses["loss"], expected)
+    losses["loss"].backward()
+    for name, parameter in task.model.named_parameters():
+        assert parameter.grad is not None, name
+        assert torch.isfinite(parameter.grad).all(), name
+        assert parameter.grad.any(), name
+
+
+def test_scenes_without_a_source_train_the_count_alone(task: RegressionTask) -> None:
+    losses = task.losses(batch_of(task, (), ()))
+    assert losses["spectrum"] == 0
+    assert losses["subspace"] == 0
+    losses["loss"].backward()
+    gradients = [parameter.grad for parameter in task.model.covariance.parameters()]
+    assert not any(gradient is not None and gradient.any() for gradient in gradients)
+
+
+def test_the_variant_s_task_needs_an_array() -> None:
+    assert isinstance(task_of(PAPER), RegressionTask)
+    with pytest.raises(ValueError, match="name its preset"):
+        RegressionTask(ANY_ARRAY)
+
+
+@pytest.fixture
+def few_rooms(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rooms, "CHUNK_ROOMS", 3)
+    monkeypatch.setattr(rooms, "random_room", lambda rng: rooms.paper_room(int(rng.integers(2))))
+
+
+@pytest.mark.usefixtures("few_rooms")
+def test_rooms_of_the_bound_array_follow_from_the_generator_and_differ() -> None:
+    rng = np.random.default_rng(3)
+    first, second = ArrayRooms(ARRAY).chunk(rng), ArrayRooms(ARRAY).chunk(rng)
+    again = ArrayRooms(ARRAY).chunk(np.random.default_rng(3))
+    np.testing.assert_array_equal(first["responses"], again["responses"])
+    assert not np.array_equal(first["azimuth"], second["azimuth"])
+
+
+@pytest.mark.usefixtures("few_rooms")
+def test_simulated_responses_arrive_from_where_their_labels_say() -> None:
+    chunk = simulate_array_chunk(5, ARRAY)
+    assert chunk["responses"].shape[:3] == (3, rooms.SOURCES_PER_ROOM, 4)
+    assert chunk["diffuse"].shape[:2] == (3, 4)
+    np.testing.assert_array_equal(chunk["positions"], np.stack([ARRAY.positions] * 3))
+    for responses, azimuths in zip(chunk["responses"], chunk["azimuth"], strict=True):
+        for response, azimuth in zip(responses, azimuths, strict=True):
+            error = np.rad2deg(onset_azimuth(response.astype(np.float64)) - azimuth)
+            assert abs((error + 180) % 360 - 180) < 8  # 1 mm of jitter on 32 mm of radius
+
+
+def onset_azimuth(response: FloatArray) -> float:
+    """Azimuth in radians of the direct sound in a response (N, T), by phase alignment."""
+    begin = max(0, int(np.argmax(np.abs(response[0]))) - 20)
+    spectrum = np.fft.rfft(response[:, begin : begin + 40] * np.hanning(40), 256)
+    frequencies = np.fft.rfftfreq(256, 1 / STFT.sample_rate)
+    band = (frequencies > 500) & (frequencies < 5000)
+    azimuth = azimuth_grid()
+    aligned = [
+        np.abs(
+            np.einsum(
+                "fna,nf->fa",
+                steering_vectors(ARRAY.positions, frequencies[band], azimuth, elevation=e).conj(),
+                spectrum[:, band],
+            )
+        ).sum(0)
+        for e in np.deg2rad(np.arange(0, 60, 10.0))
+    ]
+    return float(azimuth[np.argmax(np.max(aligned, axis=0))])
+
+
+@pytest.mark.learns
+def test_the_pipeline_learns_four_scenes() -> None:
+    torch.manual_seed(0)
+    task = RegressionTask(CONFIG)
+    batch = batch_of(task, (20.0,), (130.0,), (205.0,), (310.0,))
+    optimizer = torch.optim.Adam(task.model.parameters(), 1e-3)
+    for _ in range(60):
+        task.model.train()
+        losses = task.losses(batch)
+        optimizer.zero_grad()
+        losses["loss"].backward()
+        optimizer.step()
+    task.model.eval()
+    with torch.no_grad():
+        scene_scores = [
+            task.scores({name: _row(value, scene) for name, value in batch.items()})
+            for scene in range(4)
+        ]
+    assert max(scores["peak_error_deg"] for scores in scene_scores) < 5
+    assert min(scores["count_accuracy"] for scores in scene_scores) == 1
+
+
+def _row(value: Tensor, scene: int) -> Tensor:
+    """One scene of a batch's tensor; what the scenes share is left whole."""
+    return value[scene : scene + 1] if value.ndim > 0 and len(value) == 4 else value

@@ -1,0 +1,73 @@
+"""A stream worker's process, with more work than it can take."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+
+from scripted_service import TIMEOUT_S
+
+from service.observability.metrics import Metrics
+from service.protocol.client_messages import ArrayChoice, AudioFormat, Start
+from service.settings import Settings
+from service.startup import load_registry
+from service.streaming.work import Open, Outcome
+from service.workers.link import Setup
+from service.workers.stream_pool import ENOUGH, StreamWorker, StreamWorkers
+
+MANY = 4000
+"""Whose messages and answers fill the sockets in both directions"""
+
+
+def test_no_worker_keeps_the_models_that_a_reload_replaced() -> None:
+    """Streams that come while the first new worker starts may start old ones; these are left."""
+    settings = Settings()
+    files = load_registry(settings).files
+    before, after = Setup(settings, files), Setup(settings, files)
+
+    async def scenario() -> None:
+        workers = StreamWorkers(4, Metrics())
+        workers.setup = before
+        await workers.start()
+        held = [workers.assign() for _ in range(ENOUGH)]
+        reload = asyncio.create_task(workers.renew(after))
+        await asyncio.sleep(0)  # it has started its worker and waits
+        held += [workers.assign() for _ in range(ENOUGH + 1)]
+        assert len({worker.pid for worker in held}) == 3
+        async with asyncio.timeout(TIMEOUT_S):
+            await reload
+        assert all(worker.retired for worker in held)
+        assert not workers.assign().retired
+        await workers.stop()
+
+    asyncio.run(scenario())
+
+
+def test_a_worker_that_is_behind_ends_when_it_is_asked_to() -> None:
+    """It waits until its answers are read, so nobody may wait until it has read all."""
+    start = Start(
+        type="start",
+        audio=AudioFormat(encoding="pcm_s16le", sample_rate=16_000, channels=4),
+        array=ArrayChoice(name="respeaker-usb-4mic-v2"),
+    )
+    settings = Settings()
+    setup = Setup(settings, load_registry(settings).files)
+    answered: list[Outcome] = []
+
+    async def scenario() -> None:
+        worker = StreamWorker(setup, Metrics())
+        worker.start()
+        await worker.ready.wait()
+        for number in range(MANY):
+            worker.submit(Open(f"session-{number}", start, None), answered.append)
+        assert worker.pid is not None
+        try:
+            async with asyncio.timeout(TIMEOUT_S):
+                await worker.stop()
+        except TimeoutError:
+            os.kill(worker.pid, signal.SIGKILL)  # or nothing would ever end
+            raise
+
+    asyncio.run(scenario())
+    assert len(answered) < MANY
