@@ -309,7 +309,7 @@ def _write_results(arguments: argparse.Namespace, workers: Workers, results: Res
 
 
 def _simulate(arguments: argparse.Namespace) -> None:
-    from model_export.simulation.protocol import Protocol, write_scenes
+    from model_export.simulation.protocol import SceneProtocol, write_scenes
     from model_export.simulation.synthesis import synthetic_voice
 
     if arguments.speech_commands:
@@ -317,7 +317,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
     else:
         rng = np.random.default_rng(arguments.seed)
         speech = [synthetic_voice(rng, 1.0) for _ in range(20)]
-    protocol = Protocol(
+    protocol = SceneProtocol(
         num_sources=arguments.sources,
         array=preset(arguments.array).name,
         orders=(arguments.order, arguments.order),

@@ -12,7 +12,7 @@ from typing import Any
 
 from model_export.datasets.afpild import AFPILD
 from model_export.datasets.av163 import AV163
-from model_export.datasets.finding import Count, Finding
+from model_export.datasets.fault import Count, Fault
 from model_export.datasets.item import Dataset
 from model_export.datasets.locata import LOCATA
 from model_export.datasets.sloclas import SLoClas
@@ -22,7 +22,7 @@ DATASETS: Mapping[str, type[Dataset]] = MappingProxyType(
     {dataset.name: dataset for dataset in (SpeechCommandsRooms, AV163, SLoClas, AFPILD, LOCATA)}
 )
 SHOWN = 10
-"""Findings of one kind that are printed; all are in the JSON"""
+"""Faults of one kind that are printed; all are in the JSON"""
 
 
 def add_datasets(commands: Any) -> None:
@@ -88,45 +88,45 @@ def _verify(arguments: argparse.Namespace) -> int:
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder} is no folder: name the one that a download unpacked to")
     dataset = DATASETS[arguments.dataset] if arguments.dataset else recognise(folder)
-    counts, findings = dataset.counts(folder), dataset.verify(folder)
+    counts, faults = dataset.counts(folder), dataset.verify(folder)
     if arguments.json:
-        print(json.dumps(_report(dataset, counts, findings), indent=2))
+        print(json.dumps(_report(dataset, counts, faults), indent=2))
     else:
-        _print(dataset, folder, counts, findings)
-    return 1 if findings else 0
+        _print(dataset, folder, counts, faults)
+    return 1 if faults else 0
 
 
 def _report(
-    dataset: type[Dataset], counts: Sequence[Count], findings: Sequence[Finding]
+    dataset: type[Dataset], counts: Sequence[Count], faults: Sequence[Fault]
 ) -> dict[str, Any]:
     return {
         "dataset": dataset.name,
-        "complete": not findings,
+        "complete": not faults,
         "counts": [
             {"what": count.what, "found": count.found, "published": list(count.published)}
             for count in counts
         ],
         "findings": [
-            {"code": finding.code, "path": str(finding.path), "detail": finding.detail}
-            for finding in findings
+            {"code": fault.code, "path": str(fault.path), "detail": fault.detail}
+            for fault in faults
         ],
     }
 
 
 def _print(
-    dataset: type[Dataset], folder: Path, counts: Sequence[Count], findings: Sequence[Finding]
+    dataset: type[Dataset], folder: Path, counts: Sequence[Count], faults: Sequence[Fault]
 ) -> None:
     print(f"{dataset.name} in {folder}")
     for count in counts:
         print(f"  {count}")
-    totals = Counter(finding.code for finding in findings)
+    totals = Counter(fault.code for fault in faults)
     for code, total in totals.items():
         print(f"{code}: {total}")
-        for finding in [finding for finding in findings if finding.code == code][:SHOWN]:
-            print(f"  {_relative(finding.path, folder)}: {finding.detail}")
+        for fault in [fault for fault in faults if fault.code == code][:SHOWN]:
+            print(f"  {_relative(fault.path, folder)}: {fault.detail}")
         if total > SHOWN:
             print(f"  and {total - SHOWN} more, see --json")
-    print("incomplete" if findings else "complete")
+    print("incomplete" if faults else "complete")
 
 
 def _relative(path: Path, folder: Path) -> Path:

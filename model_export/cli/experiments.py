@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from model_export.experiments.finding import Finding
+from model_export.experiments.outcome import Outcome
 from model_export.experiments.report import FOLDER, keep, renew, section
 from model_export.experiments.scale import SCALES
 
@@ -127,10 +127,10 @@ def _recordings(arguments: argparse.Namespace) -> None:
     from model_export.experiments.on_recordings import TASKS, recordings
 
     study = _study(arguments)
-    finding = recordings(study, arguments.dataset, arguments.folder)
+    outcome = recordings(study, arguments.dataset, arguments.folder)
     title = f"Recordings: {TASKS[arguments.dataset].title}"
     command = f"recordings {arguments.dataset} DIR"
-    _tell(arguments, study, arguments.dataset, title, command, finding)
+    _tell(arguments, study, arguments.dataset, title, command, outcome)
 
 
 def _study(arguments: argparse.Namespace) -> Study:
@@ -160,12 +160,12 @@ def _tell(
     name: str,
     title: str,
     command: str,
-    finding: Finding,
+    outcome: Outcome,
 ) -> None:
-    """Print a finding, and renew the documents where there is a folder for them."""
-    print(f"\n### {title}\n\n{finding.markdown()}\n")
+    """Print an outcome, and renew the documents where there is a folder for them."""
+    print(f"\n### {title}\n\n{outcome.markdown()}\n")
     if arguments.out:
         whole = f"python -m model_export {command} --scale {arguments.scale} --out docs"
-        keep(arguments.out, name, title, whole, arguments.scale, finding)
+        keep(arguments.out, name, title, whole, arguments.scale, outcome)
         order = [*NAMES, *RECORDINGS]
         renew(arguments.out / "results.md", section(arguments.out, order, asdict(study.scale)))

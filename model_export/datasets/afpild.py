@@ -13,10 +13,10 @@ import numpy as np
 
 from model_export import SAMPLE_RATE
 from model_export.datasets.audio import check_audio, read_audio
-from model_export.datasets.finding import (
+from model_export.datasets.fault import (
     Count,
     DatasetError,
-    Finding,
+    Fault,
     collect,
     miscounts,
 )
@@ -139,7 +139,7 @@ class AFPILD:
         tables = sorted(root.glob("S*/s*_footstep_annotation.csv")) if root is not None else []
         events = 0
         for path in tables:
-            with suppress(DatasetError):  # a finding of its own
+            with suppress(DatasetError):  # a fault of its own
                 events += len(_events(path)[1])
         return [
             Count("sessions", len(tables), (len(SUBJECTS) * len(SESSIONS),)),
@@ -147,17 +147,17 @@ class AFPILD:
         ]
 
     @classmethod
-    def verify(cls, folder: Path) -> list[Finding]:
+    def verify(cls, folder: Path) -> list[Fault]:
         root = _root(folder)
         if root is None:
-            return [Finding("missing", folder / "AFPILD_v1", f"is missing: expected {cls.layout}")]
-        findings = miscounts(root, cls.counts(folder))
+            return [Fault("missing", folder / "AFPILD_v1", f"is missing: expected {cls.layout}")]
+        faults = miscounts(root, cls.counts(folder))
         for session in product(SUBJECTS, SESSIONS):
             audio = _path(root, *session, "audio.wav")
             table = _path(root, *session, "annotation.csv")
             found = collect([partial(check_audio, audio, CHANNELS), partial(_events, table)])
-            findings += found or collect([partial(_check_session, audio, table)])
-        return findings
+            faults += found or collect([partial(_check_session, audio, table)])
+        return faults
 
 
 def _root(folder: Path) -> Path | None:

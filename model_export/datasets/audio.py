@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from model_export import SAMPLE_RATE
-from model_export.datasets.finding import DatasetError, require
+from model_export.datasets.fault import DatasetError, require
 from service.audio.recording import Recording
 from service.doa.types import FloatArray
 from service.errors import DoaError

@@ -13,10 +13,10 @@ import numpy as np
 
 from model_export import SAMPLE_RATE
 from model_export.datasets.audio import check_audio, read_audio
-from model_export.datasets.finding import (
+from model_export.datasets.fault import (
     Count,
     DatasetError,
-    Finding,
+    Fault,
     collect,
     miscounts,
     require,
@@ -133,24 +133,24 @@ class AV163:
         ]
 
     @classmethod
-    def verify(cls, folder: Path) -> list[Finding]:
+    def verify(cls, folder: Path) -> list[Fault]:
         present = {path.name for path in _sequences(folder)}
-        findings = miscounts(folder, cls.counts(folder))
-        findings += [
-            Finding("missing", folder / name, "is missing: download this sequence")
+        faults = miscounts(folder, cls.counts(folder))
+        faults += [
+            Fault("missing", folder / name, "is missing: download this sequence")
             for name in ANNOTATED
             if name not in present
         ]
         checked = [p for p in _sequences(folder) if p.name in ANNOTATED or _mouths(p)]
         for sequence in checked:
             paths = [_microphone(sequence, *place) for place in _places(tuple(CENTRES))]
-            findings += collect(partial(check_audio, path, 1, SAMPLE_RATE) for path in paths)
+            faults += collect(partial(check_audio, path, 1, SAMPLE_RATE) for path in paths)
             duration = _duration(paths[0])
-            findings += collect(
+            faults += collect(
                 partial(_mouth, _mouth_file(sequence, person), duration)
                 for person in range(1, _persons(sequence) + 1)
             )
-        return findings
+        return faults
 
 
 def _sequences(folder: Path) -> list[Path]:
@@ -203,7 +203,7 @@ def _read_channels(paths: Sequence[Path]) -> FloatArray:
 
 
 def _duration(path: Path) -> float:
-    """Seconds; no bound for audio that cannot be read, which is a finding of its own."""
+    """Seconds; no bound for audio that cannot be read, which is a fault of its own."""
     try:
         return check_audio(path, 1, SAMPLE_RATE)
     except DatasetError:

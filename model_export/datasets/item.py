@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from model_export import SAMPLE_RATE
-from model_export.datasets.finding import Count, Finding
+from model_export.datasets.fault import Count, Fault
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 
@@ -134,7 +134,7 @@ class Dataset(Protocol):
         ...
 
     @classmethod
-    def verify(cls, folder: Path) -> list[Finding]:
+    def verify(cls, folder: Path) -> list[Fault]:
         """All that is missing or wrong; audio is checked by its header, annotations are parsed."""
         ...
 

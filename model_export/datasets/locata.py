@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from model_export.datasets.audio import check_audio, read_audio
-from model_export.datasets.finding import Count, DatasetError, Finding, collect, miscounts, require
+from model_export.datasets.fault import Count, DatasetError, Fault, collect, miscounts, require
 from model_export.datasets.item import DatasetItem, Directions, check_split
 from model_export.datasets.locata_poses import (
     ArrayPose,
@@ -128,15 +128,15 @@ class LOCATA:
         ]
 
     @classmethod
-    def verify(cls, folder: Path) -> list[Finding]:
-        findings = miscounts(folder, cls.counts(folder))
+    def verify(cls, folder: Path) -> list[Fault]:
+        faults = miscounts(folder, cls.counts(folder))
         for split in cls.splits:
             for recording in _recordings(folder, split):
                 if not _without_audio(recording):
                     channels = ARRAYS[recording.name]
                     audio = partial(check_audio, _audio(recording), channels, SAMPLE_RATE)
-                    findings += collect([audio, partial(_annotations, recording)])
-        return findings
+                    faults += collect([audio, partial(_annotations, recording)])
+        return faults
 
 
 def _recordings(folder: Path, split: str) -> list[Path]:

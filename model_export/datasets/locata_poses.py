@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from model_export.datasets.finding import DatasetError
+from model_export.datasets.fault import DatasetError
 from model_export.datasets.table import read_table, sorted_times
 from service.doa.types import BoolArray, FloatArray, IntArray
 

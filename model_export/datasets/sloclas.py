@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from model_export.datasets.audio import check_audio, read_audio
-from model_export.datasets.finding import Count, DatasetError, Finding, collect, miscounts
+from model_export.datasets.fault import Count, DatasetError, Fault, collect, miscounts
 from model_export.datasets.item import DatasetItem, Directions, check_split
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
@@ -93,15 +93,15 @@ class SLoClas:
         ]
 
     @classmethod
-    def verify(cls, folder: Path) -> list[Finding]:
+    def verify(cls, folder: Path) -> list[Fault]:
         root = _root(folder)
         if root is None:
-            return [Finding("missing", folder / AUDIO, f"is missing: expected {cls.layout}")]
+            return [Fault("missing", folder / AUDIO, f"is missing: expected {cls.layout}")]
         sequences = _sequences(folder)
-        findings = miscounts(root, cls.counts(folder))
-        findings += collect(partial(_degrees, sequence) for sequence in sequences)
-        findings += [
-            Finding(
+        faults = miscounts(root, cls.counts(folder))
+        faults += collect(partial(_degrees, sequence) for sequence in sequences)
+        faults += [
+            Fault(
                 "missing",
                 kind,
                 f"has sounds from {len(found)} of {DIRECTIONS} directions: unpack it again",
@@ -109,7 +109,7 @@ class SLoClas:
             for kind, found in _directions(sequences).items()
             if len(found) < DIRECTIONS
         ]
-        return findings + collect(
+        return faults + collect(
             partial(check_audio, path, CHANNELS) for paths in sequences.values() for path in paths
         )
 
@@ -135,7 +135,7 @@ def _directions(sequences: Iterable[Path]) -> dict[Path, set[int]]:
     directions: dict[Path, set[int]] = {}
     for sequence in sequences:
         found = directions.setdefault(sequence.parent, set())
-        with suppress(DatasetError):  # a finding of its own
+        with suppress(DatasetError):  # a fault of its own
             found.add(_degrees(sequence))
     return directions
 

@@ -11,10 +11,10 @@ from typing import ClassVar, overload
 
 from model_export import SAMPLE_RATE
 from model_export.datasets.audio import check_audio
-from model_export.datasets.finding import Count, DatasetError, Finding, collect, miscounts, require
+from model_export.datasets.fault import Count, DatasetError, Fault, collect, miscounts, require
 from model_export.datasets.item import DatasetItem, Directions, check_split
 from model_export.datasets.speech import Clip, Split, load, speech_commands
-from model_export.simulation.protocol import Protocol, simulate_scene
+from model_export.simulation.protocol import SceneProtocol, simulate_scene
 from service.doa.types import FloatArray
 
 LISTS = ("validation_list.txt", "testing_list.txt")
@@ -26,7 +26,7 @@ SPLITS: dict[str, Split] = {
 FILES = (64_727, 105_829)
 WORDS = (30, 35)
 """Versions 0.01 and 0.02"""
-PAPER = Protocol(orders=(0, 4))
+PAPER = SceneProtocol(orders=(0, 4))
 """The paper's 7 x 7 x 3 m, image orders 0 to 4, its ReSpeaker square, 30 dB"""
 
 
@@ -54,7 +54,7 @@ class SpeechCommandsRooms:
     splits: ClassVar[tuple[str, ...]] = tuple(SPLITS)
 
     def __init__(
-        self, folder: Path, *, protocol: Protocol = PAPER, scenes: int = 1000, seed: int = 0
+        self, folder: Path, *, protocol: SceneProtocol = PAPER, scenes: int = 1000, seed: int = 0
     ) -> None:
         self.folder = folder
         self.protocol = protocol
@@ -97,11 +97,11 @@ class SpeechCommandsRooms:
         ]
 
     @classmethod
-    def verify(cls, folder: Path) -> list[Finding]:
-        findings = miscounts(folder, cls.counts(folder))
+    def verify(cls, folder: Path) -> list[Fault]:
+        faults = miscounts(folder, cls.counts(folder))
         for name in LISTS:
-            findings += collect([partial(_check_list, folder / name)])
-        return findings + collect(
+            faults += collect([partial(_check_list, folder / name)])
+        return faults + collect(
             partial(check_audio, path, 1, SAMPLE_RATE) for path in _clips(folder)
         )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from model_export.simulation.arrays import TEST_ARRAYS
-from model_export.simulation.protocol import Protocol
+from model_export.simulation.protocol import SceneProtocol
 from model_export.simulation.rooms import RoomSpec
 
 HALF_SECOND = 8000
@@ -32,12 +32,12 @@ class Cell:
     """One row of the results' tables."""
 
     name: str
-    protocol: Protocol
+    protocol: SceneProtocol
     count_known: bool = True
 
 
 def _two_talkers(separation_deg: float, rt60: float) -> Cell:
-    protocol = Protocol(
+    protocol = SceneProtocol(
         num_sources=2,
         room=living_room(rt60),
         snr_db=20.0,
@@ -49,27 +49,27 @@ def _two_talkers(separation_deg: float, rt60: float) -> Cell:
 
 
 PAPER_CELLS = (
-    Cell("M=1, order 4, 30 dB", Protocol()),
-    Cell("M=1, order 4, 0 dB", Protocol(snr_db=0.0)),
-    Cell("M=2, order 4, 30 dB", Protocol(num_sources=2)),
-    Cell("M=2, order 0-4, 30 dB", Protocol(num_sources=2, orders=(0, 4))),
-    Cell("M=1, order 4, 30 dB, count unknown", Protocol(), count_known=False),
-    Cell("M=2, order 4, 30 dB, count unknown", Protocol(num_sources=2), count_known=False),
+    Cell("M=1, order 4, 30 dB", SceneProtocol()),
+    Cell("M=1, order 4, 0 dB", SceneProtocol(snr_db=0.0)),
+    Cell("M=2, order 4, 30 dB", SceneProtocol(num_sources=2)),
+    Cell("M=2, order 0-4, 30 dB", SceneProtocol(num_sources=2, orders=(0, 4))),
+    Cell("M=1, order 4, 30 dB, count unknown", SceneProtocol(), count_known=False),
+    Cell("M=2, order 4, 30 dB, count unknown", SceneProtocol(num_sources=2), count_known=False),
 )
 ROOM_CELLS = (
-    Cell("M=1, 5x4x2.8 m, RT60 0.35 s", Protocol(room=small_room(0.35))),
-    Cell("M=1, 10x8x3.5 m, RT60 0.6 s", Protocol(room=large_room(0.6))),
+    Cell("M=1, 5x4x2.8 m, RT60 0.35 s", SceneProtocol(room=small_room(0.35))),
+    Cell("M=1, 10x8x3.5 m, RT60 0.6 s", SceneProtocol(room=large_room(0.6))),
 )
 ARRAY_CELLS = (
-    Cell("M=1, order 4, 6-mic circular", Protocol(array="respeaker-6mic-circular")),
-    *(Cell(f"M=1, order 4, {name}", Protocol(array=name)) for name in TEST_ARRAYS),
+    Cell("M=1, order 4, 6-mic circular", SceneProtocol(array="respeaker-6mic-circular")),
+    *(Cell(f"M=1, order 4, {name}", SceneProtocol(array=name)) for name in TEST_ARRAYS),
 )
 TALKER_CELLS = tuple(
     _two_talkers(separation_deg, rt60) for rt60 in (0.3, 0.6) for separation_deg in (45, 90, 150)
 )
 SHORT_CELL = Cell(
     "M=1, 5 dB, RT60 0.6 s, 0.5 s windows, count unknown",
-    Protocol(room=living_room(0.6), snr_db=5.0, continuous=True, num_samples=HALF_SECOND),
+    SceneProtocol(room=living_room(0.6), snr_db=5.0, continuous=True, num_samples=HALF_SECOND),
     count_known=False,
 )
 CELLS = (*PAPER_CELLS, *ROOM_CELLS, *ARRAY_CELLS, *TALKER_CELLS, SHORT_CELL)

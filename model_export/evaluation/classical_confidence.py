@@ -23,7 +23,7 @@ from model_export.evaluation.cells import small_room
 from model_export.evaluation.false_sources import isotropic_noise, sensor_noise
 from model_export.evaluation.reliability import Reliability, Reports, judged, reliability
 from model_export.simulation.noise import unit_power
-from model_export.simulation.protocol import Protocol, simulate_scene
+from model_export.simulation.protocol import SceneProtocol, simulate_scene
 from model_export.simulation.scenes import WINDOW_SAMPLES
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
@@ -59,7 +59,7 @@ def windows(speech: Sequence[FloatArray], count: int, seed: int) -> Iterator[Win
             yield Window(array, audio.astype(np.float32), np.zeros(0), talkers)
             continue
         rt60 = float(rng.uniform(0.15, 0.7)) if index % 2 else None
-        protocol = Protocol(
+        protocol = SceneProtocol(
             num_sources=talkers,
             array=name,
             room=small_room(rt60) if rt60 else None,

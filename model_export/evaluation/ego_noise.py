@@ -27,7 +27,7 @@ from model_export.evaluation.false_sources import (
     own_motor,
 )
 from model_export.simulation.noise import unit_power
-from model_export.simulation.protocol import Protocol, SimulatedScene, simulate_scene
+from model_export.simulation.protocol import SceneProtocol, SimulatedScene, simulate_scene
 from service.audio.recording import Recording
 from service.doa.presets import preset
 from service.doa.scoring import circular_error
@@ -41,7 +41,7 @@ from service.inference.results import METHODS, Method
 from service.recordings.localize import localize_recording
 from service.recordings.results import LocalizeOptions
 
-PROTOCOL = Protocol(room=living_room(0.3), snr_db=30.0, continuous=True)
+PROTOCOL = SceneProtocol(room=living_room(0.3), snr_db=30.0, continuous=True)
 """The talker; the robot's noise is added to it"""
 LEARN_SECONDS = 5.0
 NOISES: Mapping[str, Sound] = {

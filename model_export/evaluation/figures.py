@@ -16,7 +16,7 @@ from model_export.evaluation.methods import PEER
 from model_export.evaluation.reliability import HIT_DEG, Reliability
 from model_export.evaluation.results import Results
 from model_export.evaluation.workers import Workers
-from model_export.simulation.protocol import Protocol
+from model_export.simulation.protocol import SceneProtocol
 
 COLOURS = {
     "any-array": "#d1495b",
@@ -33,25 +33,26 @@ class Sweep:
 
     name: str
     label: str
-    points: Mapping[float, Protocol]
+    points: Mapping[float, SceneProtocol]
 
 
 SWEEPS = (
     Sweep(
         "snr",
         "SNR in dB (one talker, the paper's room, order 4)",
-        {snr: Protocol(snr_db=snr) for snr in (-5, 0, 5, 10, 15, 20, 30)},
+        {snr: SceneProtocol(snr_db=snr) for snr in (-5, 0, 5, 10, 15, 20, 30)},
     ),
     Sweep(
         "separation",
         "angle between two talkers in degrees (order 0 to 4, 30 dB)",
-        {a: Protocol(num_sources=2, orders=(0, 4), separation_deg=a)
+        {a: SceneProtocol(num_sources=2, orders=(0, 4), separation_deg=a)
          for a in (15, 20, 30, 45, 60, 90, 135, 180)},
     ),
     Sweep(
         "rt60",
         "RT60 in seconds (one talker, 5 x 4 x 2.8 m, 20 dB)",
-        {rt60: Protocol(room=small_room(rt60), snr_db=20) for rt60 in (0.2, 0.3, 0.4, 0.5, 0.6)},
+        {rt60: SceneProtocol(room=small_room(rt60), snr_db=20)
+         for rt60 in (0.2, 0.3, 0.4, 0.5, 0.6)},
     ),
 )  # fmt: skip
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from model_export.evaluation.cells import small_room
 from model_export.evaluation.workers import Inputs, Workers
-from model_export.simulation.protocol import Protocol, SimulatedScene, simulate_scene
+from model_export.simulation.protocol import SceneProtocol, SimulatedScene, simulate_scene
 from service.doa.scoring import match
 from service.doa.types import BoolArray, FloatArray
 from service.inference.results import MAX_SOURCES, Source
@@ -101,7 +101,7 @@ def mixed_scene(inputs: Inputs, index: int) -> SimulatedScene:
     """The scene of this index."""
     rng = np.random.default_rng([inputs.seed, 5, index])
     rt60 = float(rng.uniform(0.2, 0.6)) if index % 2 else None
-    protocol = Protocol(
+    protocol = SceneProtocol(
         num_sources=1 + index % 3,
         room=small_room(rt60) if rt60 else None,
         orders=(0, 4),

@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 from model_export.evaluation.cells import large_room, small_room
 from model_export.experiments.scale import Scale
 from model_export.experiments.scene_set import Recipe
-from model_export.simulation.protocol import Protocol
+from model_export.simulation.protocol import SceneProtocol
 
 TRAIN = "train"
 COUNTS = (1, 2, 1, 2, 1, 2, 1, 2, 3)
 """Talkers of the training scenes, in turn"""
 SPARSE_DEG = (5, 10)
 PLACES = {
-    "room B": Protocol(room=small_room(0.35)),
-    "room C": Protocol(room=large_room(0.6)),
-    "array B": Protocol(array="4-mic ring r 50 mm"),
-    "array C": Protocol(array="irregular 4-mic"),
+    "room B": SceneProtocol(room=small_room(0.35)),
+    "room C": SceneProtocol(room=large_room(0.6)),
+    "array B": SceneProtocol(array="4-mic ring r 50 mm"),
+    "array C": SceneProtocol(array="irregular 4-mic"),
 }
 """Neither is said by the paper, whose room A and array A are those of the training: B is small and
 dry, C large and live; B another ring, turned by 45 degrees, C irregular and not flat"""
@@ -47,14 +47,14 @@ class Cell:
 
 def recipes(scale: Scale) -> dict[str, Recipe]:
     """Every scene set by its name."""
-    train = tuple(Protocol(num_sources=count, orders=(0, 4)) for count in COUNTS)
+    train = tuple(SceneProtocol(num_sources=count, orders=(0, 4)) for count in COUNTS)
     found = [Recipe(TRAIN, train, "train", scale.train_scenes, 101)]
     for step in SPARSE_DEG:
         allowed = tuple(float(angle) for angle in range(0, 360, step))
         sparse = tuple(replace(protocol, azimuths_deg=allowed) for protocol in train)
         found.append(Recipe(f"train-{step}", sparse, "train", scale.train_scenes, 101 + step))
     for count in (1, 2, 3):
-        protocol = Protocol(num_sources=count)
+        protocol = SceneProtocol(num_sources=count)
         found.append(
             Recipe(f"test-{count}", (protocol,), "heldout", scale.test_scenes, 200 + count)
         )
@@ -67,6 +67,6 @@ def recipes(scale: Scale) -> dict[str, Recipe]:
         )
         found.append(Recipe(f"{name} labelled", labelled, "train", len(labelled), 400 + place))
     for count in (1, 2):
-        line = Protocol(num_sources=count, array=LINEAR)
+        line = SceneProtocol(num_sources=count, array=LINEAR)
         found.append(Recipe(f"line-{count}", (line,), "heldout", scale.sweep_scenes, 500 + count))
     return {recipe.name: recipe for recipe in found}

@@ -16,13 +16,13 @@ from model_export.experiments.contenders import (
     shipped_contenders,
     title,
 )
-from model_export.experiments.finding import Finding, Rows, Table
+from model_export.experiments.outcome import Outcome, Rows, Table
 from model_export.experiments.study import Contender, Study
 
 WITHOUT_SSCL = "neuralmusic, without SSCL"
 
 
-def training_share(study: Study, figures: Path) -> Finding:
+def training_share(study: Study, figures: Path) -> Outcome:
     """Networks trained on a random 20 to 100 percent of the scenes."""
     cell = Cell("test-1")
     curves: dict[str, list[float]] = {}
@@ -40,10 +40,10 @@ def training_share(study: Study, figures: Path) -> Finding:
         "biased to some directions). Every share is trained for the same number of epochs."
     )
     tables = _tables(paper.SHARES, curves, paper.SHARE, " %")
-    return Finding(text, tables, (("Error over the training share", name),))
+    return Outcome(text, tables, (("Error over the training share", name),))
 
 
-def snr(study: Study, figures: Path) -> Finding:
+def snr(study: Study, figures: Path) -> Outcome:
     """White noise added to the test scenes."""
     scenes = study.scale.sweep_scenes
     cells = [Cell("test-1", snr_db=float(level), first=scenes) for level in paper.SNRS_DB]
@@ -59,7 +59,7 @@ def snr(study: Study, figures: Path) -> Finding:
         f"{90 / scenes:.1f} of these means."
     )
     tables = _tables(paper.SNRS_DB, curves, paper.SNR, " dB")
-    return Finding(text, tables, (("Error over the SNR", name),))
+    return Outcome(text, tables, (("Error over the SNR", name),))
 
 
 def draw_curves(

@@ -21,7 +21,7 @@ from model_export.datasets.sloclas import SLoClas
 from model_export.experiments import paper
 from model_export.experiments.cells import Cell
 from model_export.experiments.contenders import classical_contenders, matched_contenders, title
-from model_export.experiments.finding import Finding, Table
+from model_export.experiments.outcome import Outcome, Table
 from model_export.experiments.scene_set import SceneSet, is_whole
 from model_export.experiments.study import Study
 from model_export.simulation.scenes import WINDOW_SAMPLES
@@ -34,7 +34,7 @@ OFFSET_ITEMS = 500
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class RecordingSet:
     """One data set as the experiment takes it."""
 
     title: str
@@ -47,29 +47,29 @@ class Task:
     """The paper's columns for one, two, ... sources"""
 
 
-TASKS: Mapping[str, Task] = MappingProxyType(
+TASKS: Mapping[str, RecordingSet] = MappingProxyType(
     {
-        "av163": Task(
+        "av163": RecordingSet(
             "AV16.3, array 1", partial(AV163, arrays="1"), "train", "test",
         ),
-        "av163-both": Task(
+        "av163-both": RecordingSet(
             "AV16.3, both arrays", AV163, "train", "test",
             reported=("AV16.3 M=1", "AV16.3 M=2"),
         ),
-        "sloclas": Task(
+        "sloclas": RecordingSet(
             "SLoClas", SLoClas, "train", "test", zero_known=False,
             reported=("SLoClas",),
         ),
-        "afpild": Task(
+        "afpild": RecordingSet(
             "AFPILD", AFPILD, "train", "test", zero_known=False,
             reported=("AFPILD",),
         ),
-        "locata": Task("LOCATA", LOCATA, "dev", "eval"),
+        "locata": RecordingSet("LOCATA", LOCATA, "dev", "eval"),
     }
 )  # fmt: skip
 
 
-def recordings(study: Study, name: str, folder: Path) -> Finding:
+def recordings(study: Study, name: str, folder: Path) -> Outcome:
     """Every method on one data set, trained on its training split and scored on its test split.
 
     Raises
@@ -98,10 +98,10 @@ def recordings(study: Study, name: str, folder: Path) -> Finding:
         "split. Further white noise is part of the training only."
     )
     headings = (*(f"M={count}" for count in cells), *(f"paper {column}" for column in columns))
-    return Finding(text, (Table(("method", *headings), rows),))
+    return Outcome(text, (Table(("method", *headings), rows),))
 
 
-def _cut(study: Study, name: str, task: Task, folder: Path) -> list[int]:
+def _cut(study: Study, name: str, task: RecordingSet, folder: Path) -> list[int]:
     """Scene sets of both splits; the numbers of sources that the test split has."""
     dataset = task.open(folder)
     first = next(dataset.items(task.train))

@@ -1,4 +1,4 @@
-"""The experiments' findings in docs: one JSON file, and their part of results.md."""
+"""The experiments' outcomes in docs: one JSON file, and their part of results.md."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from model_export.experiments.finding import Finding
+from model_export.experiments.outcome import Outcome
 
 BEGIN, END = "<!-- comparison: begin -->", "<!-- comparison: end -->"
 FOLDER = "comparison"
@@ -30,24 +30,24 @@ counts 90 degrees. The command above a table makes all of it; with `--methods NA
 """
 
 
-def keep(docs: Path, name: str, title: str, command: str, scale: str, finding: Finding) -> None:
-    """Add one experiment's finding to the JSON file, in place of an older one."""
+def keep(docs: Path, name: str, title: str, command: str, scale: str, outcome: Outcome) -> None:
+    """Add one experiment's outcome to the JSON file, in place of an older one."""
     found = _read(docs)
-    found[name] = {"title": title, "command": command, "scale": scale, **finding.as_dict()}
+    found[name] = {"title": title, "command": command, "scale": scale, **outcome.as_dict()}
     path = docs / FOLDER / "findings.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n")
 
 
 def section(docs: Path, order: list[str], scale: dict[str, Any]) -> str:
-    """The Markdown of all kept findings, in this order."""
+    """The Markdown of all kept outcomes, in this order."""
     parts = [PREFACE.format(scale=scale["name"], **{k: v for k, v in scale.items() if k != "name"})]
     found = _read(docs)
     for name in (name for name in order if name in found):
         fields = found[name]
         parts.append(
             f"### {fields['title']}\n\n`{fields['command']}`\n\n"
-            + Finding.from_dict(fields).markdown()
+            + Outcome.from_dict(fields).markdown()
             + "\n"
         )
     return f"{BEGIN}\n" + "\n".join(parts) + f"{END}\n"

@@ -14,7 +14,7 @@ from model_export.datasets.speech import Split
 from model_export.evaluation.methods import Methods
 from model_export.evaluation.workers import Inputs, Workers
 from model_export.simulation.arrays import named_array
-from model_export.simulation.protocol import Protocol, simulate_scene
+from model_export.simulation.protocol import SceneProtocol, simulate_scene
 from model_export.simulation.scenes import WINDOW_SAMPLES
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
@@ -29,7 +29,7 @@ class Recipe:
     """Which scenes: protocols in turn, speakers, a seed."""
 
     name: str
-    protocols: tuple[Protocol, ...]
+    protocols: tuple[SceneProtocol, ...]
     """Scene k has protocol k modulo their number"""
     split: Split
     count: int

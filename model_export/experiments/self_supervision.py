@@ -15,7 +15,7 @@ from model_export.baselines.neuralmusic import CovarianceTrunk
 from model_export.evaluation.drawing import OURS, axes, save
 from model_export.experiments.cells import TRAIN
 from model_export.experiments.contenders import NEURALMUSIC
-from model_export.experiments.finding import Finding, Table
+from model_export.experiments.outcome import Outcome, Table
 from model_export.experiments.scene_set import SceneSet
 from model_export.experiments.study import SEED, Contender, Study
 from model_export.experiments.training import parameters
@@ -29,7 +29,7 @@ MASKS = ("a span of time", "a band of frequencies", "scattered cells")
 PERPLEXITY = 15.0
 
 
-def sscl_loss(study: Study, figures: Path) -> Finding:
+def sscl_loss(study: Study, figures: Path) -> Outcome:
     """The curve of the self-supervised stage."""
     study.train([NEURALMUSIC])
     curve = json.loads((study.pretraining(TRAIN) / "curve.json").read_text())
@@ -45,10 +45,10 @@ def sscl_loss(study: Study, figures: Path) -> Finding:
     rows = tuple(
         (f"{steps[i]:.0f}", losses[i]) for i in sorted({0, len(steps) // 2, -1 % len(steps)})
     )
-    return Finding(text, (Table(("step", "loss"), rows, 3),), (("SSCL loss", name),))
+    return Outcome(text, (Table(("step", "loss"), rows, 3),), (("SSCL loss", name),))
 
 
-def reconstructions(study: Study, figures: Path) -> Finding:
+def reconstructions(study: Study, figures: Path) -> Outcome:
     """Masked, reconstructed and true spectrograms of one scene, one row for each kind of mask."""
     study.train([NEURALMUSIC])
     study.simulate(["test-1"])
@@ -78,10 +78,10 @@ def reconstructions(study: Study, figures: Path) -> Finding:
         "that is not reconstructed, noise included."
     )
     table = Table(("mask", "unexplained"), tuple(shares), 3)
-    return Finding(text, (table,), (("SSCL reconstructions", name),))
+    return Outcome(text, (table,), (("SSCL reconstructions", name),))
 
 
-def latent_features(study: Study, figures: Path) -> Finding:
+def latent_features(study: Study, figures: Path) -> Outcome:
     """t-SNE of the latent covariance features, before and after the supervised stage."""
     from sklearn.manifold import TSNE
     from sklearn.neighbors import NearestNeighbors
@@ -108,7 +108,7 @@ def latent_features(study: Study, figures: Path) -> Finding:
         "scene, coloured by its direction. The table has the median angle between a scene and its "
         "nearest neighbour among the features themselves (90 by chance)."
     )
-    return Finding(
+    return Outcome(
         text, (Table(("encoder", "degrees"), tuple(rows)),), (("Latent features", name),)
     )
 

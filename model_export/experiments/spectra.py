@@ -15,7 +15,7 @@ from model_export.experiments.contenders import (
     shipped_contenders,
     title,
 )
-from model_export.experiments.finding import Finding
+from model_export.experiments.outcome import Outcome
 from model_export.experiments.study import Contender, Study, heard
 from service.doa.types import FloatArray
 
@@ -24,7 +24,7 @@ SCENE = 0
 """The first of every test set, not a chosen one"""
 
 
-def spectra(study: Study, figures: Path) -> Finding:
+def spectra(study: Study, figures: Path) -> Outcome:
     """A polar spectrum per method and scene, with the talkers' directions."""
     contenders = study.only(
         [*classical_contenders(), *matched_contenders(), *shipped_contenders(any_array=True)]
@@ -46,7 +46,7 @@ def spectra(study: Study, figures: Path) -> Finding:
         "talkers, dots the method's answer with the count known. Methods without a spectrum show "
         "their answer alone."
     )
-    return Finding(text, (), (("Spectra of all methods", name),))
+    return Outcome(text, (), (("Spectra of all methods", name),))
 
 
 def _draw(panel, study: Study, contender: Contender, cell: Cell) -> None:  # type: ignore[no-untyped-def]

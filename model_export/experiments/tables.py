@@ -16,7 +16,7 @@ from model_export.experiments.contenders import (
     shipped_contenders,
     title,
 )
-from model_export.experiments.finding import Entry, Finding, Rows, Table
+from model_export.experiments.outcome import Entry, Outcome, Rows, Table
 from model_export.experiments.study import Contender, Scores, Study
 
 KNOWN = (Cell("test-1"), Cell("test-2"))
@@ -24,7 +24,7 @@ UNKNOWN = (Cell("test-1", count_known=False), Cell("test-2", count_known=False))
 HEADINGS = ("M=1", "M=2", "unknown")
 
 
-def main_table(study: Study) -> Finding:
+def main_table(study: Study) -> Outcome:
     """Every method, one and two talkers and an unknown count."""
     contenders = study.only(
         [
@@ -73,10 +73,10 @@ def main_table(study: Study) -> Finding:
         "downloads: `python -m model_export recordings DATASET DIR`."
     )
     table = Table((*columns, "count %", "CPU ms", "parameters"), tuple(rows))
-    return Finding(text, (table, _recordings_table()))
+    return Outcome(text, (table, _recordings_table()))
 
 
-def ablation(study: Study) -> Finding:
+def ablation(study: Study) -> Outcome:
     """NeuralMUSIC without fusion's attention and without self-supervised learning."""
     variants = {
         "complete": NEURALMUSIC,
@@ -99,10 +99,10 @@ def ablation(study: Study) -> Finding:
         "learned, costs more than it gives: both differ from the paper by the amount of training."
     )
     columns = ("variant", *HEADINGS, *(f"paper {column}" for column in reported_columns))
-    return Finding(text, (Table(columns, tuple(rows)),))
+    return Outcome(text, (Table(columns, tuple(rows)),))
 
 
-def sparse_angles(study: Study) -> Finding:
+def sparse_angles(study: Study) -> Outcome:
     """Training on directions 5 and 10 degrees apart, scored on all."""
     cell = Cell("test-1")
     errors: dict[str, list[float]] = {}
@@ -125,10 +125,10 @@ def sparse_angles(study: Study) -> Finding:
         "directions."
     )
     columns = ("method", "all", "5°", "10°", "paper 5°", "paper 10°")
-    return Finding(text, (Table(columns, rows),))
+    return Outcome(text, (Table(columns, rows),))
 
 
-def transfer(study: Study) -> Finding:
+def transfer(study: Study) -> Outcome:
     """Other rooms and arrays, before and after fine-tuning on one scene per direction."""
     cells = {place: Cell(place) for place in PLACES}
     contenders = study.only(
@@ -158,10 +158,10 @@ def transfer(study: Study) -> Finding:
         "make covariances of the one array only. `any-array` was trained on none of these arrays."
     )
     columns = ("method", *cells, *(f"{p}, tuned" for p in cells), *(f"paper {p}" for p in cells))
-    return Finding(text, (Table(columns, tuple(rows)),))
+    return Outcome(text, (Table(columns, tuple(rows)),))
 
 
-def line(study: Study) -> Finding:
+def line(study: Study) -> Outcome:
     """Methods that need a line of microphones, beside those that do not."""
     cells = [Cell("line-1"), Cell("line-2")]
     names = ("root_music", "music", "norm_music", "srp_phat", "gcc_phat")
@@ -175,7 +175,7 @@ def line(study: Study) -> Finding:
         "Four microphones on a line, 40 mm apart, in the paper's room: Root-MUSIC has no meaning "
         "on other arrays. Front and back are one to a line, in the truth as in the answers."
     )
-    return Finding(text, (Table(("method", "M=1", "M=2"), rows),))
+    return Outcome(text, (Table(("method", "M=1", "M=2"), rows),))
 
 
 def _main_errors(found: Mapping[Cell, Scores]) -> Sequence[float]:

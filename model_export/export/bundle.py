@@ -23,7 +23,7 @@ import onnx
 import torch
 from torch import nn
 
-from model_export.simulation.protocol import Protocol, simulate_scene
+from model_export.simulation.protocol import SceneProtocol, simulate_scene
 from model_export.simulation.rooms import RoomSpec
 from model_export.simulation.synthesis import synthetic_voice
 from model_export.training.task import STFT
@@ -131,7 +131,7 @@ def golden_windows(array: MicrophoneArray, count: int = 1, seed: int = 2026) -> 
     """(B, N, T) float32 windows of synthetic speech in a small room; free of any corpus."""
     rng = np.random.default_rng(seed)
     voices = [synthetic_voice(rng, 1.2) for _ in range(4)]
-    protocol = Protocol(num_sources=1, room=GOLDEN_ROOM, snr_db=20.0, distance=(0.6, 1.5))
+    protocol = SceneProtocol(num_sources=1, room=GOLDEN_ROOM, snr_db=20.0, distance=(0.6, 1.5))
     scenes = [
         simulate_scene(protocol, voices, [seed, index], array=array).audio for index in range(count)
     ]

@@ -36,7 +36,7 @@ MOST_TRIES = 100_000
 
 
 @dataclass(frozen=True, slots=True)
-class Protocol:
+class SceneProtocol:
     """What is fixed and what is drawn in a set of scenes."""
 
     num_sources: int = 1
@@ -77,7 +77,7 @@ class SimulatedScene:
 
 
 def simulate_scene(
-    protocol: Protocol,
+    protocol: SceneProtocol,
     speech: Sequence[FloatArray],
     seed: Sequence[int],
     *,
@@ -126,7 +126,7 @@ def simulate_scene(
 
 
 def write_scenes(
-    folder: Path, protocol: Protocol, speech: Sequence[FloatArray], count: int, seed: int
+    folder: Path, protocol: SceneProtocol, speech: Sequence[FloatArray], count: int, seed: int
 ) -> None:
     """Write ``scene_00000.wav`` and so on, each with a JSON sidecar, scaled to -6 dBFS."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -139,7 +139,7 @@ def write_scenes(
 
 
 def _utterance(
-    rng: np.random.Generator, protocol: Protocol, clip: FloatArray, lead: int
+    rng: np.random.Generator, protocol: SceneProtocol, clip: FloatArray, lead: int
 ) -> tuple[FloatArray, int]:
     """Dry speech and where in it the window begins: after ``lead`` samples of continuous speech."""
     if not protocol.continuous:
@@ -148,7 +148,7 @@ def _utterance(
 
 
 def _place(
-    rng: np.random.Generator, protocol: Protocol, room: RoomSpec
+    rng: np.random.Generator, protocol: SceneProtocol, room: RoomSpec
 ) -> tuple[FloatArray, FloatArray]:
     """Azimuths (M,) and distances (M,) of sources inside the room and far enough apart."""
     count = protocol.num_sources

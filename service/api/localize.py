@@ -14,7 +14,7 @@ from service.api.state import ServiceState, state_of
 from service.api.upload import read_upload
 from service.observability.logs import request_id
 from service.recordings.answers import LocalizationAnswer
-from service.recordings.job import Opened, RecordingJob
+from service.recordings.job import HeaderRead, RecordingJob
 from service.recordings.options import LocalizeRequest, read_options
 
 router = APIRouter(tags=["localization"])
@@ -40,7 +40,7 @@ async def localize(request: Request) -> Response:
     state = state_of(request)
     key = key_of(request)
 
-    def charge(opened: Opened) -> None:
+    def charge(opened: HeaderRead) -> None:
         state.keys.charge(key, opened.duration)
 
     state.admit()

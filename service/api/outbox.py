@@ -14,7 +14,7 @@ MAX_WAITING = 1024
 """Messages of any kind; a client that asks faster than it reads loses the oldest"""
 
 
-class Waiting(NamedTuple):
+class QueuedMessage(NamedTuple):
     """One message that waits."""
 
     text: str
@@ -27,14 +27,14 @@ class Outbox:
     """A queue of texts between the session and the WebSocket's writer."""
 
     def __init__(self) -> None:
-        self._waiting: deque[Waiting] = deque()
+        self._waiting: deque[QueuedMessage] = deque()
         self._droppable = 0
         self._event = asyncio.Event()
         self._closed = False
 
     def put(self, text: str, *, droppable: bool, arrived: float | None = None) -> int:
         """Add a message; how many old results were dropped for it."""
-        self._waiting.append(Waiting(text, droppable, arrived))
+        self._waiting.append(QueuedMessage(text, droppable, arrived))
         self._droppable += droppable
         self._event.set()
         dropped = 0
@@ -50,7 +50,7 @@ class Outbox:
         self._closed = True
         self._event.set()
 
-    async def get(self) -> Waiting | None:
+    async def get(self) -> QueuedMessage | None:
         """The next message; None once closed and empty."""
         while not self._waiting:
             if self._closed:

@@ -42,7 +42,7 @@ RING_RADIUS = 0.1
 PEERS = ("NormMUSIC", "MUSIC", "SRP")
 
 Work = Callable[[FloatArray], object]
-Task = tuple[Callable[[Any], object], Sequence[Any]]
+Workload = tuple[Callable[[Any], object], Sequence[Any]]
 """Something to do and what to do it with, once each"""
 InputT = TypeVar("InputT")
 
@@ -110,7 +110,7 @@ def bench(bundle: Bundle, array: MicrophoneArray, repeats: int = 40, seed: int =
         "norm_music_speech": lambda window: speech.estimate(window[None], 2, 2),
         **dict(_peers(array)),
     }
-    tasks: dict[str, Task] = {name: (work, windows) for name, work in works.items()}
+    tasks: dict[str, Workload] = {name: (work, windows) for name, work in works.items()}
     timed = _in_turns({**tasks, "hop": _hops(bundle, array, windows)}, -(-repeats // (TURN + 1)))
     return BenchResult(
         array=array,
@@ -161,7 +161,7 @@ def _peers(array: MicrophoneArray) -> Iterator[tuple[str, Work]]:
         yield name, partial(locate, doa, band)
 
 
-def _hops(bundle: Bundle, array: MicrophoneArray, windows: Sequence[FloatArray]) -> Task:
+def _hops(bundle: Bundle, array: MicrophoneArray, windows: Sequence[FloatArray]) -> Workload:
     """Steps of a stream of the windows' audio, each 100 ms."""
     pipeline = bench_pipeline(bundle, array)
     output = OutputOptions(interval_ms=round(1000 * HOP_S))
@@ -185,7 +185,7 @@ def bench_pieces(audio: FloatArray) -> list[Piece]:
     return [Piece(start, pcm[start : start + hop].tobytes(), 0.0, None) for start in starts]
 
 
-def _in_turns(tasks: Mapping[str, Task], turns: int) -> dict[str, Timing]:
+def _in_turns(tasks: Mapping[str, Workload], turns: int) -> dict[str, Timing]:
     """Every task on all of its inputs, a share of them each time that it is its turn."""
     spent: dict[str, list[float]] = {name: [] for name in tasks}
     for work, inputs in tasks.values():

@@ -17,7 +17,7 @@ SAME = math.radians(10.0)  # consecutive windows whose sources moved less are on
 
 
 @dataclass(slots=True)
-class Stretch:
+class Interval:
     """Consecutive windows with the same sources."""
 
     t_start: float
@@ -38,12 +38,12 @@ def print_result(result: RecordingResult) -> None:
         line(console, f"warning: {warning.code}: {warning.detail}", "yellow")
 
 
-def stretches(windows: Sequence[WindowResult]) -> list[Stretch]:
+def stretches(windows: Sequence[WindowResult]) -> list[Interval]:
     """Merge consecutive windows whose sources stay within 10 degrees of the stretch's first.
 
     Windows overlap, so a stretch ends where the next one begins.
     """
-    merged: list[Stretch] = []
+    merged: list[Interval] = []
     for window in windows:
         sources = _by_azimuth(window.estimate.sources)
         if merged and _same(merged[-1].windows[0], sources):
@@ -51,7 +51,7 @@ def stretches(windows: Sequence[WindowResult]) -> list[Stretch]:
         else:
             if merged:
                 merged[-1].t_end = min(merged[-1].t_end, window.t_start)
-            merged.append(Stretch(window.t_start, window.t_end, [sources]))
+            merged.append(Interval(window.t_start, window.t_end, [sources]))
         merged[-1].t_end = window.t_end
     return merged
 
@@ -74,7 +74,7 @@ def _same(first: Sequence[Source], second: Sequence[Source]) -> bool:
     )
 
 
-def _directions(stretch: Stretch) -> str:
+def _directions(stretch: Interval) -> str:
     """The sources of the stretch's most confident window, each with its sector."""
     sources = max(stretch.windows, key=lambda window: sum(s.confidence for s in window))
     if not sources:

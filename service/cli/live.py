@@ -25,7 +25,7 @@ CHUNK_S = 0.02
 Send = Callable[..., None]
 
 
-class Source(Protocol):
+class AudioSource(Protocol):
     """Where audio comes from."""
 
     audio: dict[str, Any]
@@ -99,7 +99,7 @@ def paced(
         yield chunk
 
 
-def follow(stream: StreamClient, source: Source, show: Callable[[StreamEvent], None]) -> int:
+def follow(stream: StreamClient, source: AudioSource, show: Callable[[StreamEvent], None]) -> int:
     """Feed an open stream and show what the service says until it ends.
 
     Returns

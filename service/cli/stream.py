@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from service.errors import InvalidOption
 
 if TYPE_CHECKING:
-    from service.cli.live import Source
+    from service.cli.live import AudioSource
     from service.cli.stream_outputs import Outputs
     from service.cli.stream_table import LiveTable
     from service.client import StreamClient
@@ -118,7 +118,7 @@ def _odas(args: argparse.Namespace) -> bool:
     return args.output == "odas" or args.odas_sst is not None or args.odas_ssl is not None
 
 
-def _source(args: argparse.Namespace) -> Source:
+def _source(args: argparse.Namespace) -> AudioSource:
     if args.device is not None:
         from service.cli.microphone import Microphone
 
@@ -128,7 +128,7 @@ def _source(args: argparse.Namespace) -> Source:
     return FileSource(args.file, realtime=args.realtime)
 
 
-def _stream(args: argparse.Namespace, source: Source) -> StreamClient:
+def _stream(args: argparse.Namespace, source: AudioSource) -> StreamClient:
     """The stream that was asked for, not yet open."""
     from service.cli.inputs import choose_channels, given_key, read_array
     from service.client import StreamClient
@@ -176,7 +176,7 @@ def _sector(text: str) -> tuple[float, float]:
         raise InvalidOption(f"--exclude must be FROM:TO in degrees, but is {text!r}") from None
 
 
-def _follow(args: argparse.Namespace, stream: StreamClient, source: Source) -> int:
+def _follow(args: argparse.Namespace, stream: StreamClient, source: AudioSource) -> int:
     from service.cli.live import follow
     from service.cli.stream_outputs import summary_line
 

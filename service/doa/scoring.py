@@ -67,15 +67,15 @@ def maae(estimated: FloatArray, truth: FloatArray) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Detection:
+class DetectionCounts:
     """Hits, false alarms and misses; add them up over windows before taking rates."""
 
     hits: int
     false_alarms: int
     misses: int
 
-    def __add__(self, other: Detection) -> Detection:
-        return Detection(
+    def __add__(self, other: DetectionCounts) -> DetectionCounts:
+        return DetectionCounts(
             self.hits + other.hits,
             self.false_alarms + other.false_alarms,
             self.misses + other.misses,
@@ -88,11 +88,11 @@ class Detection:
         return 2 * self.hits / total if total else 1.0
 
 
-def detection(estimated: FloatArray, truth: FloatArray, tolerance: float) -> Detection:
+def detection(estimated: FloatArray, truth: FloatArray, tolerance: float) -> DetectionCounts:
     """Count a window's hits: matched pairs within ``tolerance`` radians."""
     estimated, truth = validate(estimated), validate(truth)
     hits = sum(error <= tolerance for _, _, error in match(estimated, truth))
-    return Detection(hits, estimated.size - hits, truth.size - hits)
+    return DetectionCounts(hits, estimated.size - hits, truth.size - hits)
 
 
 def _assign(costs: FloatArray) -> tuple[IntArray, IntArray]:
@@ -153,9 +153,9 @@ def evaluate(estimated: Sequence[FloatArray], truth: Sequence[FloatArray]) -> di
     }
 
 
-def _total(pairs: Sequence[tuple[FloatArray, FloatArray]], tolerance_deg: float) -> Detection:
+def _total(pairs: Sequence[tuple[FloatArray, FloatArray]], tolerance_deg: float) -> DetectionCounts:
     tolerance = float(np.deg2rad(tolerance_deg))
-    return sum((detection(e, t, tolerance) for e, t in pairs), Detection(0, 0, 0))
+    return sum((detection(e, t, tolerance) for e, t in pairs), DetectionCounts(0, 0, 0))
 
 
 def _first_within(estimated: FloatArray, truth: FloatArray, tolerance_deg: float) -> bool:

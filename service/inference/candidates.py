@@ -15,7 +15,7 @@ from service.doa.fusion import attention_fusion
 from service.doa.mirror import into_searched_half
 from service.doa.peaks import find_peaks, parabolic_offset
 from service.doa.types import FloatArray
-from service.inference.descriptors import NUM_DESCRIPTORS, Field, Finding, describe
+from service.inference.descriptors import NUM_DESCRIPTORS, Field, FoundCandidate, describe
 
 NUM_CANDIDATES = 4
 REMOVAL_LEVEL = 0.7
@@ -38,7 +38,7 @@ class Candidates:
     fused: FloatArray
     """(A,) the fused spectrum before any removal"""
     field: Field
-    findings: Sequence[Finding]
+    findings: Sequence[FoundCandidate]
     """Of the candidates that were found"""
 
     def directions(self, chosen: Sequence[int]) -> list[float]:
@@ -65,9 +65,9 @@ def find_candidates(field: Field) -> Candidates:
     return Candidates(azimuths, descriptors, fused, field, findings)
 
 
-def find_findings(field: Field) -> list[Finding]:
+def find_findings(field: Field) -> list[FoundCandidate]:
     """The candidates one after the other, each with the state in which it was found."""
-    findings: list[Finding] = []
+    findings: list[FoundCandidate] = []
     remaining = field.attention
     if not field.total > 0:
         return findings
@@ -79,12 +79,12 @@ def find_findings(field: Field) -> list[Finding]:
         index = round(peaks[0].azimuth / (2 * np.pi) * fused.size) % fused.size
         pointing = field.cells[:, index].copy()
         support = remaining * (pointing > REMOVAL_LEVEL)
-        findings.append(Finding(peaks, index, fused, pointing, support, remaining))
+        findings.append(FoundCandidate(peaks, index, fused, pointing, support, remaining))
         remaining = remaining - support
     return findings
 
 
-def refine(field: Field, sources: Sequence[Finding]) -> FloatArray:
+def refine(field: Field, sources: Sequence[FoundCandidate]) -> FloatArray:
     """(n,) azimuths in radians of the sources, each at the maximum next to where it was found.
 
     It is looked for among the cells that point to no other source, which draw the first one's peak

@@ -74,7 +74,7 @@ class Field:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class FoundCandidate:
     """One candidate and the state in which it was found."""
 
     peaks: Sequence[Peak]
@@ -95,7 +95,7 @@ class Finding:
         return self.peaks[0].azimuth
 
 
-def describe(field: Field, findings: Sequence[Finding]) -> FloatArray:
+def describe(field: Field, findings: Sequence[FoundCandidate]) -> FloatArray:
     """(n, D) float32 of all findings of a window, in the order in which they were found."""
     total, of_block = np.float32(field.total), field.of_block
     # Of a list: stack takes three times as long.
@@ -131,7 +131,7 @@ def describe(field: Field, findings: Sequence[Finding]) -> FloatArray:
     return descriptors
 
 
-def _peak_shapes(findings: Sequence[Finding]) -> tuple[FloatArray, ...]:
+def _peak_shapes(findings: Sequence[FoundCandidate]) -> tuple[FloatArray, ...]:
     """Heights, spectra's means, second peaks against the first, falls over 10 degrees."""
     fused = np.array([found.fused for found in findings])
     rows, size = np.arange(len(findings)), fused.shape[1]
@@ -166,7 +166,7 @@ def _likeness(in_time: FloatArray, in_bins: FloatArray) -> tuple[FloatArray, ...
 
 
 def _disagreement(
-    field: Field, findings: Sequence[Finding], attention: FloatArray, weight: FloatArray
+    field: Field, findings: Sequence[FoundCandidate], attention: FloatArray, weight: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Spread in units of 10 degrees of the blocks' own peaks near the candidates, and its drift.
 

@@ -32,7 +32,7 @@ class RecordingJob:
 
 
 @dataclass(frozen=True, slots=True)
-class Opened:
+class HeaderRead:
     """The header was read and found good; nothing is decoded yet."""
 
     duration: float
@@ -65,7 +65,7 @@ class Refused:
     error: DoaError
 
 
-Report = Opened | Progress
+Report = HeaderRead | Progress
 Outcome = Localized | Refused
 
 
@@ -88,7 +88,7 @@ def localize_file(
     asked = job.asked
     with Recording.open(file, job.limits) as recording:
         _check_windows(recording.duration, asked)
-        report(Opened(recording.duration))
+        report(HeaderRead(recording.duration))
         result = localize_recording(
             recording,
             replace(asked.options, spectra=asked.spectrum),

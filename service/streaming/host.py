@@ -16,8 +16,8 @@ from service.streaming.work import (
     Close,
     Failed,
     Open,
-    Opened,
     Outcome,
+    StreamOpened,
     Work,
 )
 
@@ -51,7 +51,7 @@ class StreamHost:
             log.exception("the stream failed", extra={"session_id": work.session})
             return Failed(DoaError(UNEXPECTED))
 
-    def _open(self, work: Open) -> Opened:
+    def _open(self, work: Open) -> StreamOpened:
         pipeline, opened = open_stream(work, self._registry)
         self._pipelines[work.session] = pipeline
         return opened

@@ -26,12 +26,12 @@ from service.inference.results import AudioWarning
 from service.protocol.client_messages import ArrayChoice
 from service.protocol.server_messages import StreamArray, StreamModel
 from service.streaming.pipeline import StreamPipeline, StreamPlan
-from service.streaming.work import Open, Opened
+from service.streaming.work import Open, StreamOpened
 
 DEFAULT_MODEL = "default"
 
 
-def open_stream(work: Open, registry: BundleRegistry) -> tuple[StreamPipeline, Opened]:
+def open_stream(work: Open, registry: BundleRegistry) -> tuple[StreamPipeline, StreamOpened]:
     """Build what a stream needs; takes tens of milliseconds.
 
     Raises
@@ -65,7 +65,7 @@ def open_stream(work: Open, registry: BundleRegistry) -> tuple[StreamPipeline, O
 
 def opened(
     plan: StreamPlan, pipeline: StreamPipeline, warnings: tuple[AudioWarning, ...]
-) -> Opened:
+) -> StreamOpened:
     """What the session tells its client of a pipeline."""
     model = None
     if plan.bundle is not None:
@@ -76,7 +76,7 @@ def opened(
             variant=identity.variant,
             sha256=identity.sha256,
         )
-    return Opened(
+    return StreamOpened(
         model=model,
         method=plan.method,
         array=StreamArray(name=plan.array.name, positions_m=plan.array.positions.tolist()),

@@ -31,7 +31,7 @@ from service.streaming.account import Account
 from service.streaming.answers import odas_potentials, odas_sources, odas_time_stamp, result_fields
 from service.streaming.intake import Gap
 from service.streaming.pipeline import Estimate
-from service.streaming.work import Opened
+from service.streaming.work import StreamOpened
 
 CONVENTION = (
     "azimuth in degrees in [0, 360), counter-clockwise from +x; x forward, y left, z up; "
@@ -78,7 +78,7 @@ class Reporter:
     def ready(
         self,
         session: str,
-        opened: Opened,
+        opened: StreamOpened,
         start: Start,
         limits: SessionLimits,
     ) -> None:

@@ -54,8 +54,8 @@ from service.streaming.work import (
     Checked,
     Failed,
     Open,
-    Opened,
     Outcome,
+    StreamOpened,
 )
 
 MAX_COMMANDS = 1000
@@ -216,7 +216,7 @@ class Session:
             return
         if isinstance(outcome, Failed):
             self.fail(outcome.error)
-        elif isinstance(outcome, Opened):
+        elif isinstance(outcome, StreamOpened):
             assert self.start is not None
             self.state, self._clock = "running", outcome.clock
             self._microphones = len(outcome.array.positions_m)

@@ -61,7 +61,7 @@ Work = Open | Advance | Check | Close
 
 
 @dataclass(frozen=True, slots=True)
-class Opened:
+class StreamOpened:
     """A pipeline that is ready, and what it works with."""
 
     model: StreamModel | None
@@ -106,7 +106,7 @@ class Failed:
     error: DoaError
 
 
-Outcome = Opened | Advanced | Checked | Failed
+Outcome = StreamOpened | Advanced | Checked | Failed
 
 Answer = tuple[int, Outcome, float]
 """What a worker sends back: the work's number, what came of it, the seconds that it took"""

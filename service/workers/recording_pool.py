@@ -16,7 +16,7 @@ from starlette.requests import ClientDisconnect, Request
 
 from service.errors import DecodingFailed, DoaError, Draining, Overloaded, WorkerLost
 from service.observability.metrics import Metrics
-from service.recordings.job import Localized, Opened, Outcome, RecordingJob, Refused, Report
+from service.recordings.job import HeaderRead, Localized, Outcome, RecordingJob, Refused, Report
 from service.workers.link import Link, Setup
 from service.workers.process import WorkerProcess
 
@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL}
 """Signals that a decoder's own fault ends a process with; others come from outside"""
 
-Admit = Callable[[Opened], None]
+Admit = Callable[[HeaderRead], None]
 """Raises a DoaError where a recording of this length is not to be localized"""
 
 
@@ -154,7 +154,7 @@ class RecordingWorkers:
         def check(message: Report) -> None:
             nonlocal audio_s
             self._check_draining()
-            if isinstance(message, Opened):
+            if isinstance(message, HeaderRead):
                 audio_s = message.duration
                 if admit is not None:
                     admit(message)

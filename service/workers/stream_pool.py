@@ -25,7 +25,7 @@ STALL_S = 15.0
 
 
 @dataclass(slots=True)
-class Waiting:
+class PendingWork:
     """Work that a worker has not answered."""
 
     done: Done
@@ -68,7 +68,7 @@ class StreamWorker:
         self._metrics = metrics
         self._loop = asyncio.get_running_loop()
         self._numbers = count(1)
-        self._waiting: dict[int, Waiting] = {}
+        self._waiting: dict[int, PendingWork] = {}
         self._process: WorkerProcess | None = None
         self._reading: asyncio.Task[None] | None = None
         self._transport: asyncio.Transport | None = None
@@ -95,7 +95,7 @@ class StreamWorker:
                 self._loop.call_soon(done, Failed(worker_lost()))
             return
         if done is not None:
-            self._waiting[number] = Waiting(done, self._loop.time(), isinstance(work, Check))
+            self._waiting[number] = PendingWork(done, self._loop.time(), isinstance(work, Check))
         message = packed((number, work))
         if self._transport is None:
             self._unsent.append(message)

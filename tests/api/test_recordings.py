@@ -24,7 +24,7 @@ from service.app import create_app
 from service.audio.recording import AudioLimits
 from service.errors import UNEXPECTED, InvalidOption
 from service.inference.registry import BundleRegistry
-from service.recordings.job import Opened, Progress, RecordingJob, Refused, localize_file
+from service.recordings.job import HeaderRead, Progress, RecordingJob, Refused, localize_file
 from service.recordings.options import read_options
 from service.settings import Settings
 from service.workers import recording as recording_worker
@@ -250,7 +250,7 @@ def test_the_hop_that_is_advised_is_taken(seconds: float) -> None:
     reports: list[Any] = []
     with suppress(Heard):
         localize_file(job(hop_s=advised), silence(seconds), BundleRegistry(()), heard(reports))
-    assert reports == [Opened(seconds)]
+    assert reports == [HeaderRead(seconds)]
 
 
 class Heard(Exception):
@@ -270,7 +270,7 @@ def heard(reports: list[Any]) -> Callable[[object], None]:
 def test_a_recording_is_opened_before_it_is_decoded() -> None:
     reports: list[Any] = []
     localize_file(job(), silence(10), BundleRegistry(()), reports.append)
-    assert reports[0] == Opened(10.0)
+    assert reports[0] == HeaderRead(10.0)
     assert reports[-1] == Progress(1.0)
     shares = [report.share for report in reports[1:]]
     assert shares == sorted(shares)
@@ -302,7 +302,7 @@ def test_a_worker_that_is_told_to_stop_waits_for_the_next_recording(
     for _ in range(2):
         with path.open("rb") as file:
             link.send(job(), [file.fileno()])
-        assert link.receive() == Opened(10.0)
+        assert link.receive() == HeaderRead(10.0)
         link.send(False)
         assert link.receive() is None
 

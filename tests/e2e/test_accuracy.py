@@ -10,7 +10,7 @@ import pytest
 import soundfile
 from starlette.testclient import TestClient
 
-from model_export.simulation.protocol import Protocol, SimulatedScene, simulate_scene
+from model_export.simulation.protocol import SceneProtocol, SimulatedScene, simulate_scene
 from model_export.simulation.rooms import RoomSpec
 from model_export.simulation.synthesis import synthetic_voice
 from service.app import create_app
@@ -45,13 +45,13 @@ def localize(client: TestClient, scene: SimulatedScene, **options: object) -> di
 @pytest.mark.parametrize(
     "protocol",
     [
-        Protocol(),
-        Protocol(array="respeaker-6mic-circular", snr_db=15.0),
-        Protocol(room=RoomSpec((5.0, 4.0, 2.8), (2.2, 1.8, 1.1), rt60=0.35), snr_db=20.0),
+        SceneProtocol(),
+        SceneProtocol(array="respeaker-6mic-circular", snr_db=15.0),
+        SceneProtocol(room=RoomSpec((5.0, 4.0, 2.8), (2.2, 1.8, 1.1), rt60=0.35), snr_db=20.0),
     ],
     ids=["paper", "ring", "reverberant"],
 )
-def test_one_talker_within_three_degrees(client, voices, protocol: Protocol) -> None:
+def test_one_talker_within_three_degrees(client, voices, protocol: SceneProtocol) -> None:
     errors = []
     for index in range(SCENES):
         scene = simulate_scene(protocol, voices, [5, index])
@@ -66,7 +66,7 @@ def test_the_count_is_mostly_right(client, voices) -> None:
     right = 0
     for index in range(SCENES):
         count = index % 3
-        protocol = Protocol(num_sources=max(count, 1), min_separation_deg=40, orders=(0, 3))
+        protocol = SceneProtocol(num_sources=max(count, 1), min_separation_deg=40, orders=(0, 3))
         scene = simulate_scene(protocol, voices, [6, index])
         if count == 0:
             noise = np.random.default_rng(index).standard_normal(scene.audio.shape)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from model_export.baselines.network import MAX_SOURCES, BaselineNetwork, LearnedMethod, Truth
-from model_export.simulation.protocol import Protocol, SimulatedScene, simulate_scene
+from model_export.simulation.protocol import SceneProtocol, SimulatedScene, simulate_scene
 from model_export.simulation.scenes import WINDOW_SAMPLES
 from model_export.simulation.synthesis import synthetic_voice
 from service.doa.array import MicrophoneArray
@@ -25,7 +25,7 @@ def talkers(
     speech = [synthetic_voice(rng, 1.2) for _ in range(8)]
     return [
         simulate_scene(
-            Protocol(num_sources=count, orders=(1, 1), min_separation_deg=40.0),
+            SceneProtocol(num_sources=count, orders=(1, 1), min_separation_deg=40.0),
             speech,
             [3, index],
             array=array,

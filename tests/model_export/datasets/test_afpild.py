@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from model_export.datasets.afpild import AFPILD, Variant
-from model_export.datasets.finding import DatasetError
+from model_export.datasets.fault import DatasetError
 from model_export.datasets.offset import learn_offset
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
@@ -142,9 +142,9 @@ def test_faults_are_found_and_named(
     write_wav(tables[3].with_name("s01_3_footstep_audio.wav"), np.zeros((6, 20 * STEP)))
     write_wav(tables[4].with_name("s01_4_footstep_audio.wav"), np.zeros((4, 6 * STEP)))
     found = {
-        finding.path.name: (finding.code, finding.detail)
-        for finding in AFPILD.verify(tmp_path)
-        if finding.path.name.startswith(("s01", "s02_1"))
+        fault.path.name: (fault.code, fault.detail)
+        for fault in AFPILD.verify(tmp_path)
+        if fault.path.name.startswith(("s01", "s02_1"))
     }
     assert {name: code for name, (code, _) in found.items()} == {
         "s01_1_footstep_annotation.csv": "annotation",

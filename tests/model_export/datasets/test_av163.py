@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from model_export.datasets.av163 import ANNOTATED, AV163, Arrays
-from model_export.datasets.finding import DatasetError
+from model_export.datasets.fault import DatasetError
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 
@@ -156,9 +156,9 @@ def test_faults_are_found_and_named(
     mouth = folder / "seq08-1p-0100-person1-interpolated.3dmouthgt"
     mouth.write_text(mouth.read_text() + "11.2 1 0.5 oops 0\n")
     inside = {
-        (finding.code, finding.path.name): finding.detail
-        for finding in AV163.verify(tmp_path)
-        if finding.path.parent == folder
+        (fault.code, fault.path.name): fault.detail
+        for fault in AV163.verify(tmp_path)
+        if fault.path.parent == folder
     }
     assert {key: detail.split(",")[0] for key, detail in inside.items()} == {
         ("missing", "seq08-1p-0100_array2_mic5.wav"): (

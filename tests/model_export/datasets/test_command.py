@@ -12,7 +12,7 @@ import pytest
 
 from model_export.__main__ import main
 from model_export.cli.datasets import DATASETS
-from model_export.datasets.finding import Count
+from model_export.datasets.fault import Count
 
 pytestmark = pytest.mark.torch
 
@@ -39,7 +39,7 @@ def test_a_data_set_is_recognised_and_incomplete(
     assert main(["datasets", "verify", str(tmp_path), "--json"]) == 1
     report = printed(capsys)
     assert (report["dataset"], report["complete"]) == (name, False)
-    assert {"count", "missing"} & {finding["code"] for finding in report["findings"]}
+    assert {"count", "missing"} & {fault["code"] for fault in report["findings"]}
 
 
 def test_every_data_set_is_listed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model_export.datasets.finding import DatasetError
+from model_export.datasets.fault import DatasetError
 from model_export.datasets.locata import LOCATA
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
@@ -200,7 +200,7 @@ def test_published_folders_without_audio_are_passed_over(
     (folder / "audio_array_dicit.wav").unlink()
     names = [item.metadata["sequence"] for item in LOCATA(tmp_path, "dicit").items("eval")]
     assert names == ["task4/recording3"]
-    assert {finding.code for finding in LOCATA.verify(tmp_path)} == {"count"}
+    assert {fault.code for fault in LOCATA.verify(tmp_path)} == {"count"}
 
 
 def spoil(folder: Path, name: str, old: str, new: str) -> None:
@@ -220,9 +220,9 @@ def test_faults_are_found_and_named(
     (folders[5] / "audio_array_timestamps_benchmark2.txt").unlink()
     spoil(folders[6], "position_source_loudspeaker1.txt", "2017\t6\t30", "2017\t6\t31")
     found = {
-        finding.path.relative_to(tmp_path).parts[2]: (finding.code, finding.detail)
-        for finding in LOCATA.verify(tmp_path)
-        if finding.code != "count"
+        fault.path.relative_to(tmp_path).parts[2]: (fault.code, fault.detail)
+        for fault in LOCATA.verify(tmp_path)
+        if fault.code != "count"
     }
     assert {place: code for place, (code, _) in found.items()} == {
         "recording1": "missing",

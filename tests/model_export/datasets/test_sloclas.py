@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model_export.datasets.finding import DatasetError
+from model_export.datasets.fault import DatasetError
 from model_export.datasets.sloclas import SLoClas
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
@@ -111,4 +111,4 @@ def test_a_folder_without_the_audio_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="holds no Segmented_Sound/"):
         next(SLoClas(tmp_path).items("train"))
     assert not SLoClas.recognises(tmp_path)
-    assert [finding.code for finding in SLoClas.verify(tmp_path)] == ["missing"]
+    assert [fault.code for fault in SLoClas.verify(tmp_path)] == ["missing"]

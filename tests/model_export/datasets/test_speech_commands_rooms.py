@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import soundfile
 
-from model_export.datasets.finding import DatasetError
+from model_export.datasets.fault import DatasetError
 from model_export.datasets.speech_commands_rooms import SpeechCommandsRooms
-from model_export.simulation.protocol import Protocol
+from model_export.simulation.protocol import SceneProtocol
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 
 pytestmark = pytest.mark.torch
 
-ANECHOIC = Protocol(orders=(0, 0))
+ANECHOIC = SceneProtocol(orders=(0, 0))
 
 
 def test_a_word_is_heard_from_where_the_scene_puts_it(
@@ -44,7 +44,7 @@ def test_no_speaker_is_in_two_splits_and_a_scene_is_always_the_same(corpus: Path
 
 
 def test_two_talkers_are_at_least_ten_degrees_apart(corpus: Path) -> None:
-    protocol = Protocol(num_sources=2, orders=(0, 0))
+    protocol = SceneProtocol(num_sources=2, orders=(0, 0))
     items = list(SpeechCommandsRooms(corpus, protocol=protocol, scenes=5).items("train"))
     apart = [np.ptp(np.rad2deg(item.directions.azimuth[0])) for item in items]
     assert all(10 <= gap <= 350 for gap in apart)

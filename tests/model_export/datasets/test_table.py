@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model_export.datasets.finding import DatasetError
+from model_export.datasets.fault import DatasetError
 from model_export.datasets.table import read_table
 
 pytestmark = pytest.mark.torch
@@ -59,9 +59,9 @@ def test_the_line_that_is_wrong_is_named(
     path = written(text)
     with pytest.raises(DatasetError) as caught:
         read_table(path, columns, delimiter=",")
-    assert caught.value.finding.code == "annotation"
+    assert caught.value.fault.code == "annotation"
     assert str(caught.value).startswith(f"{path}: ")
-    assert says in caught.value.finding.detail
+    assert says in caught.value.fault.detail
 
 
 def test_a_binary_file_is_no_table(tmp_path: Path) -> None:
@@ -74,4 +74,4 @@ def test_a_binary_file_is_no_table(tmp_path: Path) -> None:
 def test_a_missing_file_is_missing(tmp_path: Path) -> None:
     with pytest.raises(DatasetError) as caught:
         read_table(tmp_path / "absent.txt", 3)
-    assert caught.value.finding.code == "missing"
+    assert caught.value.fault.code == "missing"

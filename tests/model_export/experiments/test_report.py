@@ -1,4 +1,4 @@
-"""The findings in the documents: kept as JSON, renewed between markers, left alone by others."""
+"""The outcomes in the documents: kept as JSON, renewed between markers, left alone by others."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from model_export.evaluation.results import Results
-from model_export.experiments.finding import Finding, Table
+from model_export.experiments.outcome import Outcome, Table
 from model_export.experiments.report import keep, kept_section, renew, section
 from model_export.experiments.scale import SCALES
 
 pytestmark = pytest.mark.torch
 
-FINDING = Finding("Words.", (Table(("method", "M=1"), (("MUSIC", 3.961), ("other", None))),))
+FINDING = Outcome("Words.", (Table(("method", "M=1"), (("MUSIC", 3.961), ("other", None))),))
 SCALE = asdict(SCALES["small"])
 
 

@@ -10,7 +10,7 @@ import pytest
 from model_export.experiments.augmentation import symmetries, white_noise
 from model_export.experiments.scene_set import Recipe, SceneSet, is_whole, simulated
 from model_export.simulation.arrays import named_array
-from model_export.simulation.protocol import Protocol, simulate_scene
+from model_export.simulation.protocol import SceneProtocol, simulate_scene
 from model_export.simulation.scenes import WINDOW_SAMPLES
 from model_export.simulation.synthesis import synthetic_voice
 from service.doa.presets import preset
@@ -28,7 +28,7 @@ def voices() -> list[np.ndarray]:
 
 
 def test_a_set_reads_as_it_was_simulated(tmp_path: Path, voices) -> None:
-    protocols = (Protocol(), Protocol(num_sources=2))
+    protocols = (SceneProtocol(), SceneProtocol(num_sources=2))
     recipe = Recipe("two kinds", protocols, "train", 4, 5)
     first = simulated(tmp_path / "set", recipe, voices, workers=1)
     again = SceneSet.read(tmp_path / "set")
@@ -55,7 +55,7 @@ def test_parts_favour_no_direction(tmp_path: Path) -> None:
 
 
 def test_sparse_directions_are_the_only_ones(voices) -> None:
-    protocol = Protocol(num_sources=2, azimuths_deg=tuple(range(0, 360, 10)))
+    protocol = SceneProtocol(num_sources=2, azimuths_deg=tuple(range(0, 360, 10)))
     for seed in range(5):
         azimuth = np.rad2deg(simulate_scene(protocol, voices, [seed]).azimuth)
         np.testing.assert_allclose(azimuth, 10 * np.round(azimuth / 10), atol=1e-9)
@@ -70,7 +70,7 @@ def test_symmetries_are_those_of_the_array(name: str, expected: int) -> None:
 
 
 def test_a_symmetry_is_what_the_array_hears_of_turned_sources(voices) -> None:
-    scene = simulate_scene(Protocol(orders=(0, 0)), voices, [3])
+    scene = simulate_scene(SceneProtocol(orders=(0, 0)), voices, [3])
     localizer = ClassicalLocalizer("srp_phat", SQUARE)
     for permutation, turn in symmetries(SQUARE):
         (estimate,) = localizer.estimate(scene.audio[permutation][None], 1, 1)

@@ -23,8 +23,8 @@ def test_all_experiments_run_and_do_nothing_twice(
     found = json.loads((docs / "comparison" / "findings.json").read_text())
     assert list(found) == list(NAMES) == list(experiments())
     text = (docs / "results.md").read_text()
-    for finding in found.values():
-        for _, name in finding["figures"]:
+    for outcome in found.values():
+        for _, name in outcome["figures"]:
             assert (docs / "comparison" / name).stat().st_size > 1000
             assert f"(comparison/{name})" in text
     rows = {row[0]: row for row in found["main"]["tables"][0]["rows"]}

@@ -17,7 +17,7 @@ from model_export.finetuning.labelled_recordings import (
 )
 from model_export.finetuning.labelled_scenes import Augmentation, LabelledScenes, room_noise
 from model_export.finetuning.labels import LABELS, read_labels
-from model_export.simulation.protocol import Protocol, write_scenes
+from model_export.simulation.protocol import SceneProtocol, write_scenes
 from model_export.simulation.scenes import WINDOW_SAMPLES, SceneConfig
 from model_export.simulation.synthesis import synthetic_voice
 from service.doa.array import MicrophoneArray
@@ -89,7 +89,7 @@ def test_windows_lie_where_their_talkers_speak(
 
 def test_simulated_scenes_are_labelled_recordings(tmp_path: Path, square: MicrophoneArray) -> None:
     voices = [synthetic_voice(np.random.default_rng(0), 1.0)]
-    write_scenes(tmp_path, Protocol(orders=(0, 0)), voices, 2, seed=3)
+    write_scenes(tmp_path, SceneProtocol(orders=(0, 0)), voices, 2, seed=3)
     (tmp_path / "array.json").write_text(json.dumps({"positions_m": []}))  # no sidecar
     for recording in load_recordings(tmp_path, square):
         truth = json.loads(recording.path.with_suffix(".json").read_text())["azimuth_deg"]

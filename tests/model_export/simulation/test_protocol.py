@@ -11,7 +11,7 @@ import pytest
 from model_export.datasets.speech import load, speech_commands
 from model_export.simulation.arrays import TEST_ARRAYS, named_array, random_array
 from model_export.simulation.noise import unit_power
-from model_export.simulation.protocol import Protocol, simulate_scene, write_scenes
+from model_export.simulation.protocol import SceneProtocol, simulate_scene, write_scenes
 from model_export.simulation.rooms import (
     SAMPLE_RATE,
     RoomSpec,
@@ -59,8 +59,8 @@ def test_a_wave_reaches_the_nearer_microphone_first_and_by_the_right_time(
 
 
 def test_every_source_has_unit_power_and_the_noise_has_its_level(voices) -> None:
-    quiet = simulate_scene(Protocol(num_sources=2, snr_db=200.0), voices, [1, 2])
-    noisy = simulate_scene(Protocol(num_sources=2, snr_db=10.0), voices, [1, 2])
+    quiet = simulate_scene(SceneProtocol(num_sources=2, snr_db=200.0), voices, [1, 2])
+    noisy = simulate_scene(SceneProtocol(num_sources=2, snr_db=10.0), voices, [1, 2])
     np.testing.assert_allclose(quiet.azimuth, noisy.azimuth)
     # The whole utterance with its tail has unit power; the window may cut the tail off.
     assert np.var(quiet.audio[0]) == pytest.approx(2.0, rel=0.35)
@@ -70,7 +70,7 @@ def test_every_source_has_unit_power_and_the_noise_has_its_level(voices) -> None
 
 
 def test_the_same_seed_gives_the_same_scene(voices) -> None:
-    first, again, other = (simulate_scene(Protocol(), voices, [3, s]) for s in (1, 1, 2))
+    first, again, other = (simulate_scene(SceneProtocol(), voices, [3, s]) for s in (1, 1, 2))
     np.testing.assert_array_equal(first.audio, again.audio)
     assert first.metadata == again.metadata
     assert not np.array_equal(first.audio, other.audio)
@@ -78,10 +78,12 @@ def test_the_same_seed_gives_the_same_scene(voices) -> None:
 
 def test_sources_keep_their_distance_from_each_other(voices) -> None:
     for seed in range(20):
-        scene = simulate_scene(Protocol(num_sources=3, min_separation_deg=40), voices, [4, seed])
+        scene = simulate_scene(
+            SceneProtocol(num_sources=3, min_separation_deg=40), voices, [4, seed]
+        )
         gaps = circular_error(scene.azimuth[:, None], scene.azimuth[None])
         assert np.rad2deg(gaps[np.triu_indices(3, 1)].min()) >= 40
-    pair = simulate_scene(Protocol(num_sources=2, separation_deg=30.0), voices, [4, 99])
+    pair = simulate_scene(SceneProtocol(num_sources=2, separation_deg=30.0), voices, [4, 99])
     assert np.rad2deg(circular_error(*pair.azimuth)) == pytest.approx(30)
 
 
@@ -92,7 +94,7 @@ def test_continuous_talkers_leave_no_pause(voices) -> None:
     frames = np.square(dry.reshape(-1, 400)).mean(axis=1)
     quiet = "".join("x" if frame < 1e-6 else " " for frame in frames).split()
     assert max(map(len, quiet), default=0) * 400 < 6000  # the clip's own silence is 22000 long
-    protocol = Protocol(snr_db=200.0, continuous=True, num_samples=8000, room=ANECHOIC)
+    protocol = SceneProtocol(snr_db=200.0, continuous=True, num_samples=8000, room=ANECHOIC)
     powers = []
     for seed in range(12):
         scene = simulate_scene(protocol, padded, [6, seed])
@@ -105,7 +107,7 @@ def test_continuous_talkers_leave_no_pause(voices) -> None:
 def test_a_window_in_which_the_talker_pauses_is_not_voiced() -> None:
     rng = np.random.default_rng(0)
     word = np.concatenate([rng.standard_normal(8000), np.zeros(40000), rng.standard_normal(8000)])
-    protocol = Protocol(continuous=True, num_samples=8000, room=ANECHOIC)
+    protocol = SceneProtocol(continuous=True, num_samples=8000, room=ANECHOIC)
     scenes = [simulate_scene(protocol, [word.astype(np.float32)], [7, s]) for s in range(20)]
     assert {scene.voiced for scene in scenes} == {True, False}
     for scene in scenes:
@@ -126,12 +128,12 @@ def test_the_test_arrays_are_what_they_are_called() -> None:
 
 
 def test_written_scenes_have_their_truth_beside_them(voices, tmp_path: Path) -> None:
-    write_scenes(tmp_path, Protocol(num_sources=2), voices, count=2, seed=5)
+    write_scenes(tmp_path, SceneProtocol(num_sources=2), voices, count=2, seed=5)
     assert sorted(p.name for p in tmp_path.iterdir()) == [
         f"scene_0000{i}.{suffix}" for i in range(2) for suffix in ("json", "wav")
     ]
     truth = json.loads((tmp_path / "scene_00001.json").read_text())
-    scene = simulate_scene(Protocol(num_sources=2), voices, [5, 1])
+    scene = simulate_scene(SceneProtocol(num_sources=2), voices, [5, 1])
     np.testing.assert_allclose(truth["azimuth_deg"], np.rad2deg(scene.azimuth), atol=1e-3)
     assert truth["room"]["max_order"] == 4
     assert len(truth["array"]["positions_m"]) == 4

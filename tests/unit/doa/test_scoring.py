@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.doa.scoring import (
-    Detection,
+    DetectionCounts,
     circular_error,
     count_accuracy,
     detection,
@@ -44,7 +44,7 @@ def test_a_missing_estimate_costs_a_random_guess() -> None:
 
 def test_f1_by_hand() -> None:
     found = detection(rad(10, 100, 250), rad(12, 130), float(rad(5)[0]))
-    assert found == Detection(hits=1, false_alarms=2, misses=1)
+    assert found == DetectionCounts(hits=1, false_alarms=2, misses=1)
     assert found.f1 == pytest.approx(2 / 5)
     assert detection(rad(), rad(), 0.1).f1 == 1.0
 

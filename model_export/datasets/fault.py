@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-FindingCode = Literal["missing", "count", "audio", "channels", "sample_rate", "annotation"]
+FaultCode = Literal["missing", "count", "audio", "channels", "sample_rate", "annotation"]
 """A file or folder is not there; fewer or more files than published; audio that cannot be decoded;
 another number of channels, another rate; an annotation that is empty, malformed or impossible"""
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class Fault:
     """One fault, in the file or folder that has it."""
 
-    code: FindingCode
+    code: FaultCode
     path: Path
     detail: str
     """What is wrong and what to do"""
@@ -26,11 +26,11 @@ class Finding:
 
 
 class DatasetError(ValueError):
-    """A data set that cannot be read, with the finding that says why."""
+    """A data set that cannot be read, with the fault that says why."""
 
-    def __init__(self, code: FindingCode, path: Path, detail: str) -> None:
-        self.finding = Finding(code, path, detail)
-        super().__init__(str(self.finding))
+    def __init__(self, code: FaultCode, path: Path, detail: str) -> None:
+        self.fault = Fault(code, path, detail)
+        super().__init__(str(self.fault))
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,21 +56,21 @@ class Count:
         return f"{self.found:,} {self.what}, published {'' if self.exact else 'about '}{expected}"
 
 
-def collect(checks: Iterable[Callable[[], object]]) -> list[Finding]:
-    """Run every check and gather the findings of those that raise DatasetError."""
-    findings = []
+def collect(checks: Iterable[Callable[[], object]]) -> list[Fault]:
+    """Run every check and gather the faults of those that raise DatasetError."""
+    faults = []
     for check in checks:
         try:
             check()
         except DatasetError as error:
-            findings.append(error.finding)
-    return findings
+            faults.append(error.fault)
+    return faults
 
 
-def miscounts(folder: Path, counts: Iterable[Count]) -> list[Finding]:
-    """A finding for every count that is not a published one."""
+def miscounts(folder: Path, counts: Iterable[Count]) -> list[Fault]:
+    """A fault for every count that is not a published one."""
     return [
-        Finding("count", folder, f"{count}: unpack the whole download, or know that you use a part")
+        Fault("count", folder, f"{count}: unpack the whole download, or know that you use a part")
         for count in counts
         if not count.complete
     ]

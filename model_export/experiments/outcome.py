@@ -32,7 +32,7 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class Outcome:
     """One experiment's outcome."""
 
     text: str
@@ -51,7 +51,7 @@ class Finding:
         return asdict(self)
 
     @classmethod
-    def from_dict(cls, fields: dict[str, Any]) -> Finding:
+    def from_dict(cls, fields: dict[str, Any]) -> Outcome:
         """What ``as_dict`` gave, also after a round trip through JSON."""
         tables = tuple(
             Table(tuple(t["columns"]), tuple(tuple(row) for row in t["rows"]), t["digits"])
