@@ -25,10 +25,10 @@ from model_export.baselines.told import (
 )
 from service.doa.array import MIN_SPACING, SPEED_OF_SOUND, MicrophoneArray
 from service.doa.covariance import sample_covariance
+from service.doa.evd import noise_projector, signal_subspace
 from service.doa.mirror import into_searched_half, searched_half
 from service.doa.scoring import circular_error
 from service.doa.steering import azimuth_grid
-from service.doa.subspace import noise_projector, signal_subspace
 from service.doa.types import BoolArray, ComplexArray, FloatArray, IntArray
 
 CARD = Card(

@@ -13,6 +13,6 @@ Covariance: R(f) = E[x x^H] with x the (N,) STFT vector of bin f.
 Precision: float32 and complex64 at run time.
 
 The steps of the method, in the order in which the audio passes them: ``stft`` (STFT), the encoder
-and the regressor or weights network (``service.inference``, ONNX), ``covariance``, ``subspace``
-(EVD, MUSIC), ``fusion`` (frequency attention fusion), ``peaks``.
+and the regressor or weights network (``service.inference``, ONNX), ``covariance``, ``evd``,
+``music``, ``fusion`` (frequency attention fusion, FAF), ``peaks``.
 """

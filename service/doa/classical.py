@@ -16,10 +16,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from service.doa.evd import signal_subspace
 from service.doa.fusion import mean_fusion, normalised_fusion
+from service.doa.music import music_spectrum, spectrum_of_power
 from service.doa.pair_products import PairProducts
 from service.doa.projector import signal_projector
-from service.doa.subspace import music_spectrum, signal_subspace, spectrum_of_power
 from service.doa.types import ComplexArray, FloatArray
 
 

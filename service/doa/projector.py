@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from service.doa.covariance import MOST_PLANES
-from service.doa.subspace import check_dimension, planes_product, signal_subspace, trace_of
+from service.doa.evd import check_dimension, planes_product, signal_subspace, trace_of
 from service.doa.types import ComplexArray, FloatArray
 
 MOST_SOURCES = 2

@@ -11,9 +11,9 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from service.doa.music import eigenvector_power
 from service.doa.pair_products import pair_products
 from service.doa.steering import azimuth_grid, steering_vectors
-from service.doa.subspace import eigenvector_power
 from service.doa.types import ComplexArray, FloatArray
 
 

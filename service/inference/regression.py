@@ -6,10 +6,10 @@ import numpy as np
 
 from service.doa.array import MicrophoneArray
 from service.doa.fusion import attention_fusion, attention_weights, normalise
+from service.doa.music import signal_power
 from service.doa.peaks import find_peaks
 from service.doa.spectrogram import spectrogram_features
 from service.doa.steering import azimuth_grid, steering_vectors
-from service.doa.subspace import signal_power
 from service.doa.types import ComplexArray, FloatArray
 from service.inference.bundle import Bundle
 from service.inference.results import Source, WindowEstimate

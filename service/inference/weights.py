@@ -10,11 +10,11 @@ import numpy as np
 
 from service.doa.array import MicrophoneArray
 from service.doa.covariance import chosen_and_sum, diagonal_loading, weighted_covariance
+from service.doa.evd import principal_eigenvector
 from service.doa.features import coherences, unit_vectors_and_power, window_features
 from service.doa.rank_one import RankOneMusic, shared_music
 from service.doa.steering import azimuth_grid, resolution, steering_vectors
 from service.doa.stft import Stft
-from service.doa.subspace import principal_eigenvector
 from service.doa.types import ComplexArray, FloatArray, IntArray
 from service.doa.whitening import NoiseCovariance, Whitening
 from service.inference.bundle import Bundle

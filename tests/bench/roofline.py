@@ -15,7 +15,7 @@ import onnx
 from onnx import helper
 
 from service.bench.window import cpu_ms
-from service.doa.subspace import APPLICATIONS, SQUARINGS
+from service.doa.evd import APPLICATIONS, SQUARINGS
 from service.inference.engine import Engine
 from service.inference.registry import EMBEDDED_MODELS
 

@@ -8,10 +8,11 @@ from plane_waves import plane_waves
 
 from model_export.baselines.root_music import RootMusic, signal_roots, uniform_line
 from service.doa.array import SPEED_OF_SOUND, MicrophoneArray
+from service.doa.evd import noise_projector, signal_subspace
+from service.doa.music import music_spectrum
 from service.doa.presets import preset
 from service.doa.scoring import maae
 from service.doa.steering import steering_vectors
-from service.doa.subspace import music_spectrum, noise_projector, signal_subspace
 
 
 def line(count: int = 4, spacing: float = 0.04, axis_deg: float = 90.0) -> MicrophoneArray:

@@ -21,10 +21,11 @@ from model_export.training.regression import (
 )
 from model_export.training.subspace import signal_projector
 from model_export.training.task import STFT, Batch, task_of
+from service.doa.evd import signal_subspace
 from service.doa.fusion import attention_fusion, attention_weights, normalise
+from service.doa.music import signal_power
 from service.doa.presets import preset
 from service.doa.steering import azimuth_grid, steering_vectors
-from service.doa.subspace import signal_power, signal_subspace
 from service.doa.types import FloatArray
 
 pytestmark = pytest.mark.torch

@@ -14,7 +14,7 @@ from model_export.training.subspace import (
     signal_power,
     signal_projector,
 )
-from service.doa import subspace as served
+from service.doa import evd as served
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.steering import azimuth_grid, steering_vectors, unit_vectors

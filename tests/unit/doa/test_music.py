@@ -9,16 +9,11 @@ from hypothesis import strategies as st
 
 from service.doa import classical
 from service.doa.covariance import diagonal_loading, sample_covariance
+from service.doa.evd import noise_projector, principal_eigenvector, signal_subspace
+from service.doa.music import music_spectrum, signal_power
 from service.doa.peaks import circular_difference, find_peaks
 from service.doa.steering import azimuth_grid, steering_vectors
 from service.doa.stft import Stft
-from service.doa.subspace import (
-    music_spectrum,
-    noise_projector,
-    principal_eigenvector,
-    signal_power,
-    signal_subspace,
-)
 from service.doa.types import ComplexArray, FloatArray
 from service.errors import TooManySources
 

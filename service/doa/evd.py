@@ -1,10 +1,10 @@
-"""Subspaces of the spatial covariance and the MUSIC pseudo-spectrum.
+"""Eigenvalue decomposition (EVD) of spatial covariances: signal and noise subspace.
 
 Conventions
 -----------
 Eigenvalues ascend, as LAPACK gives them. The signal subspace Us holds the eigenvectors of the M
-largest eigenvalues and the noise projector is I - Us Us^H. With ||a||^2 = N the MUSIC denominator
-is a^H (I - Us Us^H) a = N - ||Us^H a||^2, so the noise eigenvectors are never needed.
+largest eigenvalues and the noise projector is I - Us Us^H, so the noise eigenvectors are never
+needed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from service.errors import TooManySources
 SQUARINGS = 3
 APPLICATIONS = 3
 """Of R^8 to a column of it, which is R^32's then: a vector costs a quarter or less of a matrix"""
-DENOMINATOR_FLOOR = 2e-7  # of N: float32 cannot tell smaller distances to the subspace from zero
 
 
 def signal_subspace(covariance: ComplexArray, num_sources: int) -> ComplexArray:
@@ -134,69 +133,3 @@ def noise_projector(subspace: ComplexArray) -> ComplexArray:
         np.swapaxes(subspace, -1, -2)
     )
     return projector
-
-
-def eigenvector_power(vectors: ComplexArray, steering: ComplexArray) -> FloatArray:
-    """|u^H a|^2 / N of every eigenvector u and steering vector a.
-
-    Parameters
-    ----------
-    vectors : (..., F, N, K) complex64
-        Unit columns; the eigenvectors of one matrix, or the principal ones of K matrices.
-    steering : (F, N, A) complex64
-
-    Returns
-    -------
-    power : (..., F, K, A) float32
-        Between 0 and 1.
-    """
-    scaled = np.conj(np.swapaxes(vectors, -1, -2)) * np.float32(steering.shape[-2] ** -0.5)
-    response = scaled @ steering
-    # Squared in place: the response is megabytes, and fresh memory costs more than arithmetic.
-    parts = response.view(response.real.dtype)
-    np.square(parts, out=parts)
-    power: FloatArray = parts[..., 0::2] + parts[..., 1::2]
-    return power
-
-
-def signal_power(subspace: ComplexArray, steering: ComplexArray) -> FloatArray:
-    """||Us^H a||^2 / N for every steering vector: 1 where a lies in the signal subspace.
-
-    ``subspace`` (..., F, N, M) with orthonormal columns and ``steering`` (F, N, A) give
-    (..., F, A) float32 between 0 and 1.
-    """
-    power: FloatArray = eigenvector_power(subspace, steering).sum(axis=-2)
-    return power
-
-
-def music_spectrum(
-    subspace: ComplexArray, steering: ComplexArray, floor: float = DENOMINATOR_FLOOR
-) -> FloatArray:
-    """MUSIC pseudo-spectrum per frequency bin, 1 / (1 - ||Us^H a||^2 / N + floor).
-
-    Parameters
-    ----------
-    subspace : (..., F, N, M) complex64
-    steering : (F, N, A) complex64
-    floor : float
-        Keeps the spectrum finite where a lies in the signal subspace; a larger one broadens peaks.
-
-    Returns
-    -------
-    spectrum : (..., F, A) float32
-        Scaled by N against the textbook form, so that it does not grow with the array.
-
-    References
-    ----------
-    Schmidt, 1986, Multiple emitter location and signal parameter estimation, eq. (6).
-    """
-    return spectrum_of_power(signal_power(subspace, steering), floor)
-
-
-def spectrum_of_power(power: FloatArray, floor: float = DENOMINATOR_FLOOR) -> FloatArray:
-    """``music_spectrum`` of what ``signal_power`` gives, in its place."""
-    # Fresh memory costs more than arithmetic.
-    np.subtract(1, power, out=power)
-    np.maximum(power, 0, out=power)
-    power += np.float32(floor)
-    return np.divide(1, power, out=power)
