@@ -28,7 +28,7 @@ NAMES = (
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """``--method``, ``--model``, ``--window`` and the like."""
-    from service.inference.results import METHODS
+    from service.protocol.methods import METHODS
 
     parser.add_argument("--method", choices=METHODS, help="neural where a model fits the array")
     parser.add_argument("--model", metavar="NAME", help="the model bundle")

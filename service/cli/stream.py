@@ -48,17 +48,15 @@ def _add_source(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_session(parser: argparse.ArgumentParser) -> None:
-    from typing import get_args
-
     from service.cli.inputs import add_key
-    from service.protocol.client_messages import StreamMethod
+    from service.protocol.methods import METHODS
 
     group = parser.add_argument_group("session")
     add = group.add_argument
     add("--url", default=URL, help=f"the service (default: {URL})")
     add("--wait", type=float, default=0.0, metavar="SECONDS", help="wait for it this long")
     add_key(group)
-    add("--method", choices=get_args(StreamMethod), help="neural where a model fits the array")
+    add("--method", choices=METHODS, help="neural where a model fits the array")
     add("--model", metavar="NAME", help="the model bundle")
     add("--interval-ms", type=int, metavar="MS", help="audio between results (default: 100)")
     add("--max-sources", type=int, metavar="M", help="most sources, where they are counted")

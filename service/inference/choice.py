@@ -9,7 +9,8 @@ from service.doa.presets import RAW_CHANNELS
 from service.errors import ChannelMismatch, GeometryMismatch, TooManySources
 from service.inference.bundle import Bundle
 from service.inference.registry import BundleRegistry
-from service.inference.results import AudioWarning, Method
+from service.inference.results import AudioWarning
+from service.protocol.methods import Method
 
 
 def choose_channels(

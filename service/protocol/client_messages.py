@@ -8,12 +8,12 @@ from pydantic import Field, TypeAdapter, field_validator
 
 from service.protocol.framing import SAMPLE_BYTES, Encoding, HeaderKind
 from service.protocol.message import Message, message_type, read_message
+from service.protocol.methods import Method
 
 Position = tuple[float, float, float]
 Sector = tuple[float, float]
 Include = Literal["spectrum"]
 OutputFormat = Literal["doa", "odas"]
-StreamMethod = Literal["neural", "norm_music", "music", "srp_phat"]
 MIN_INTERVAL_MS, MAX_INTERVAL_MS = 20, 1000
 CLIENT_NAME = r"^[A-Za-z0-9._-]{1,64}$"
 
@@ -93,7 +93,7 @@ class Start(Message):
     as microphones"""
     model: Annotated[str, Field(min_length=1, max_length=64)] = "default"
     """A model's name (`GET /models`); `default` is the first that fits the array"""
-    method: StreamMethod | None = None
+    method: Method | None = None
     """Null is `neural` where a model fits the array, else `norm_music`"""
     output: OutputOptions = OutputOptions()
     overflow: Literal["drop_oldest", "block"] = "drop_oldest"

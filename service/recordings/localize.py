@@ -25,8 +25,9 @@ from service.inference.choice import (
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, estimate_stretch, localizer_of
 from service.inference.registry import BundleRegistry
-from service.inference.results import AudioWarning, Method, WindowEstimate
+from service.inference.results import AudioWarning, WindowEstimate
 from service.inference.windows import Stretch, stretches, windows
+from service.protocol.methods import Method
 from service.recordings.forked_workers import in_order
 from service.recordings.identities import identified
 from service.recordings.packed_windows import PackedWindows

@@ -16,7 +16,8 @@ from service.doa.array import MicrophoneArray, validate_channel_map
 from service.doa.orientation import Orientation
 from service.doa.presets import PRESETS
 from service.errors import InvalidOption, TooManySources, UnknownMethod
-from service.inference.results import MAX_SOURCES, METHODS
+from service.inference.results import MAX_SOURCES
+from service.protocol.methods import METHODS
 from service.recordings.geometry import read_array, read_channel_map
 from service.recordings.results import (
     DEFAULT_HOP_S,
