@@ -89,8 +89,9 @@ class Start(Message):
     audio: AudioFormat
     array: ArrayChoice
     channel_map: Annotated[list[int], Field(min_length=1, max_length=64)] | None = None
-    """The stream's channel of every microphone, from 0; without it there must be as many channels
-    as microphones"""
+    """The stream's channel of every microphone, from 0; without it as many channels as microphones
+    are taken as they are, and those of the preset's firmware (`raw_channels` of `GET /arrays`) by
+    its layout, with the warning `channel_map_assumed`"""
     model: Annotated[str, Field(min_length=1, max_length=64)] = "default"
     """A model's name (`GET /models`); `default` is the first that fits the array"""
     method: Method | None = None

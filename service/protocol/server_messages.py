@@ -24,6 +24,7 @@ WarningCode = Literal[
     "array_scale",
     "channel_processed",
     "sample_rate_wrong",
+    "channel_map_assumed",
     "no_model_for_array",
     "front_back_ambiguous",
     "noise_mismatch",
