@@ -56,7 +56,7 @@ async def drain_once_stopped(state: ServiceState) -> None:
     while not stopping:
         await asyncio.sleep(LOOK_S)
         stopping = await _stopping()
-    state.streams.drain()
+    state.drain()
 
 
 async def _stopping() -> bool:

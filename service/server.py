@@ -20,6 +20,7 @@ from service.api.state import ServiceState
 from service.app import create_app
 from service.connections import HttpProtocol, StreamProtocol, limit_untaken
 from service.errors import ReloadRefused
+from service.lifecycle import Phase
 from service.observability.logs import configure_logging, server_log_level
 from service.settings import Settings
 from service.startup import load_registry
@@ -74,18 +75,19 @@ class Server(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         await self._wait_for_proxies()
         grace = self._state.settings.drain_grace
-        asyncio.get_running_loop().call_later(grace, self._state.recording_workers.drain)
+        lifecycle = self._state.lifecycle
+        asyncio.get_running_loop().call_later(grace, lifecycle.enter, Phase.ENDING)
         # uvicorn would cut the sockets before the application hears of it.
-        self._state.streams.drain()
+        self._state.drain()
         with suppress(TimeoutError):
             async with asyncio.timeout(FAREWELL):
                 await self._state.streams.empty.wait()
         await super().shutdown(sockets)
 
     async def _wait_for_proxies(self) -> None:
-        """Say that no more should come, but take what does: a proxy looks only now and then."""
+        """Report not ready, keep accepting: a proxy looks only now and then."""
         state = self._state
-        state.leaving = True
+        state.lifecycle.enter(Phase.LEAVING)
         began = time.monotonic()
         while time.monotonic() - began < state.settings.drain_delay:
             if self.force_exit:  # which uvicorn itself looks at now and then

@@ -29,7 +29,8 @@ from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.types import BoolArray, FloatArray
 from service.inference.classical import CHANCES, ClassicalLocalizer
-from service.inference.results import MAX_SOURCES, Method, WindowEstimate
+from service.inference.results import MAX_SOURCES, WindowEstimate
+from service.protocol.methods import Method
 
 ARRAYS = ("respeaker-usb-4mic-v2", "respeaker-6mic-circular", "av163-circle8")
 

@@ -37,7 +37,7 @@ from service.doa.whitening import NoiseCovariance, learn_noise
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, localizer_of
 from service.inference.registry import BundleRegistry
-from service.inference.results import METHODS, Method
+from service.protocol.methods import METHODS, Method
 from service.recordings.localize import localize_recording
 from service.recordings.results import LocalizeOptions
 

@@ -20,7 +20,7 @@ from service.doa.types import FloatArray
 from service.inference.bundle import Bundle, load_bundle
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, localizer_of
-from service.inference.results import METHODS, Method
+from service.protocol.methods import METHODS, Method
 from service.recordings.results import DEFAULT_MAX_SOURCES
 
 PEER = "pyroomacoustics NormMUSIC"

@@ -23,13 +23,14 @@ from model_export.evaluation.cells import living_room
 from model_export.simulation.noise import unit_power
 from model_export.simulation.rooms import impulse_responses
 from model_export.simulation.scenes import convolve
-from service.cli.inputs import choose_channels, open_recording
+from service.cli.inputs import open_recording
 from service.doa.array import SPEED_OF_SOUND, MicrophoneArray
 from service.doa.diagnostics import ChannelDiagnostics
 from service.doa.presets import preset
 from service.doa.steering import unit_vectors
 from service.doa.types import FloatArray
 from service.errors import InvalidGeometry
+from service.inference.geometry import choose_channels
 
 ARRAY = "respeaker-usb-4mic-v2"
 RT60 = 0.3
@@ -213,7 +214,7 @@ def real_findings(folder: Path) -> dict[str, frozenset[str]]:
     found: dict[str, frozenset[str]] = {}
     for path in sorted((*folder.glob("*.flac"), *folder.glob("*.wav"))):
         with open_recording(path) as recording:
-            channels = choose_channels(recording, array, None)
+            channels, _ = choose_channels(recording.channels, array, None)
             diagnostics = ChannelDiagnostics(recording.sample_rate, len(channels), channels)
             for block in recording.blocks(channels, recording.sample_rate):
                 diagnostics.add(block)

@@ -12,13 +12,14 @@ from rich.progress import track
 from model_export.finetuning.labels import Segment, Talker, read_labels, segments
 from model_export.simulation.scenes import WINDOW_SAMPLES
 from model_export.training.task import MAX_SOURCES, STFT
-from service.cli.inputs import choose_channels, open_recording
+from service.cli.inputs import open_recording, read_channel_map
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics import ChannelDiagnostics, Finding
 from service.doa.diagnostics.levels import decibels
 from service.doa.mirror import into_searched_half
 from service.doa.types import BoolArray, FloatArray, IntArray
 from service.errors import DoaError
+from service.inference.geometry import choose_channels
 
 FRAME_SAMPLES = 512
 """Step of the level gate, 32 ms"""
@@ -99,7 +100,9 @@ def load_recording(
     with open_recording(path) as recording:
         if recording.channels < array.num_microphones:
             raise ValueError(_too_few(recording.channels, array))
-        channels = choose_channels(recording, array, channel_map)
+        channels, assumed = choose_channels(
+            recording.channels, array, read_channel_map(channel_map)
+        )
         diagnostics = ChannelDiagnostics(STFT.sample_rate, len(channels), channels)
         blocks = []
         for block in recording.blocks(channels, STFT.sample_rate):
@@ -108,7 +111,10 @@ def load_recording(
     audio = np.concatenate(blocks, axis=1)
     found = segments(talkers, audio.shape[1] / STFT.sample_rate)
     _check_segments(found)
-    warnings = _check_findings(diagnostics.findings(array))
+    warnings = (
+        *(warning.detail for warning in assumed),
+        *_check_findings(diagnostics.findings(array)),
+    )
     sounding, quiet = level_gate(audio)
     windows = tuple(filter(_usable, (_windows(segment, sounding, array) for segment in found)))
     if not windows:

@@ -18,9 +18,9 @@ from model_export.training.config import TrainingConfig
 from model_export.training.task import STFT
 from service.audio.recording import Recording
 from service.doa.array import MicrophoneArray
-from service.doa.presets import RAW_CHANNELS
 from service.doa.types import FloatArray, IntArray
 from service.errors import AudioError
+from service.inference.geometry import choose_channels
 
 SUFFIXES = (".wav", ".flac")
 GATE_DB = 20.0
@@ -87,9 +87,9 @@ def decode(path: Path, array: MicrophoneArray) -> FloatArray:
     """
     try:
         with Recording.open(path) as recording:
-            channels = microphone_channels(recording.channels, array)
+            channels, _ = choose_channels(recording.channels, array, None)
             samples = np.concatenate(list(recording.blocks(channels, STFT.sample_rate)), axis=1)
-    except (AudioError, ValueError) as error:
+    except AudioError as error:
         raise ValueError(f"{path}: {error}") from error
     if samples.shape[1] < WINDOW_SAMPLES:
         seconds = WINDOW_SAMPLES / STFT.sample_rate
@@ -98,20 +98,6 @@ def decode(path: Path, array: MicrophoneArray) -> FloatArray:
         raise ValueError(f"{path}: silent from beginning to end: leave it out")
     # A recording's gain says nothing, and float16 has no room for the integers of some formats.
     return (samples / np.abs(samples).max()).astype(np.float16)
-
-
-def microphone_channels(channels: int, array: MicrophoneArray) -> tuple[int, ...]:
-    """A recording's channels of the raw microphones, by the firmware's layout if it has more."""
-    if channels == array.num_microphones:
-        return tuple(range(channels))
-    layouts = RAW_CHANNELS.get(array.name, {})
-    if channels not in layouts:
-        usable = " or ".join(map(str, [array.num_microphones, *layouts]))
-        raise ValueError(
-            f"{channels} channels, but recordings of {array.name} have {usable}: record all "
-            "microphones as separate channels, or leave the file out"
-        )
-    return layouts[channels]
 
 
 def window_levels(samples: FloatArray) -> FloatArray:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import anyio.to_thread
 from fastapi import APIRouter, Request, Response
+from starlette.requests import ClientDisconnect
 
 from service.api.contract.localize import LOCALIZE_ERRORS, LOCALIZE_EXAMPLE, localize_operation
 from service.api.middleware.guard import key_of
@@ -43,6 +44,10 @@ async def localize(request: Request) -> Response:
     def charge(opened: HeaderRead) -> None:
         state.keys.charge(key, opened.duration)
 
+    async def still_wanted() -> None:
+        if await request.is_disconnected():
+            raise ClientDisconnect
+
     state.admit()
     state.recording_workers.check()
     with state.keys.upload(key):
@@ -51,10 +56,7 @@ async def localize(request: Request) -> Response:
             job = RecordingJob(asked, state.audio_limits, request_id.get())
             with state.traces.span("localize"):
                 localized = await state.recording_workers.run(
-                    request,
-                    job,
-                    upload.file,
-                    charge,
+                    job, upload.file, charge, still_wanted
                 )
     return Response(localized.body, media_type="application/json")
 

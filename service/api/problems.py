@@ -42,9 +42,8 @@ class Problem(BaseModel):
     """The HTTP status"""
     detail: str = Field(
         examples=[
-            "the recording has 6 channels, but the array respeaker-usb-4mic-v2 has 4 microphones: "
-            "this device's 6-channel firmware has the raw microphones in channels 1, 2, 3, 4: "
-            "pass channel_map=1,2,3,4"
+            "the audio has 8 channels, but the array respeaker-usb-4mic-v2 has 4 microphones: pass "
+            "channel_map (--channel-map) with the 4 channels of the raw microphones"
         ]
     )
     """What happened this time, and what to do"""

@@ -17,8 +17,8 @@ from service.api.outbox import message_json
 from service.api.problems import problem_responses
 from service.api.state import state_of
 from service.errors import InvalidOption
-from service.inference.results import Method
 from service.protocol.message import message_type
+from service.protocol.methods import Method
 from service.protocol.server_messages import Closing, ServerMessage, StreamError
 from service.recordings.answers import Answer
 from service.streaming.export import FORMATS, export_csv, export_json_lines

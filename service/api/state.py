@@ -12,9 +12,10 @@ from fastapi import Request
 
 from service.access.keys import Keys
 from service.audio.recording import AudioLimits
-from service.errors import DoaError, Draining, NotReady, ReloadRefused
+from service.errors import DoaError, NotReady, ReloadRefused
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
+from service.lifecycle import Lifecycle, Phase
 from service.machine.memory import give_back_memory
 from service.observability.metrics import Gauges, Metrics
 from service.observability.traces import Traces
@@ -27,8 +28,6 @@ from service.workers.stream_pool import StreamWorkers
 
 log = logging.getLogger(__name__)
 
-SHUTTING_DOWN = "the service is shutting down: try again in a moment"
-
 
 @dataclass(slots=True)
 class ServiceState:
@@ -38,12 +37,11 @@ class ServiceState:
     recording_workers: RecordingWorkers
     streams: SessionRegistry
     stream_workers: StreamWorkers
+    lifecycle: Lifecycle
     registry: BundleRegistry | None = None
     """None until the bundles are loaded and self-tested"""
     noise: NoiseStore = field(default_factory=NoiseStore)
     """Profiles of robots' own noises"""
-    leaving: bool = False
-    """Whoever balances loads should send nothing new: the service is about to shut down"""
     metrics: Metrics = field(default_factory=Metrics)
     traces: Traces = field(default_factory=Traces)
     noise_checks: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(1))
@@ -58,12 +56,15 @@ class ServiceState:
     @classmethod
     def of(cls, settings: Settings) -> ServiceState:
         """The state of an application that has loaded nothing yet; ConfigError without extras."""
-        metrics = Metrics()
+        metrics, lifecycle = Metrics(), Lifecycle()
         return cls(
             settings,
-            RecordingWorkers(settings.workers, settings.queue, settings.stall_timeout, metrics),
+            RecordingWorkers(
+                settings.workers, settings.queue, settings.stall_timeout, metrics, lifecycle
+            ),
             SessionRegistry(settings.max_sessions),
             StreamWorkers(settings.stream_workers, metrics),
+            lifecycle,
             noise=NoiseStore(settings.noise_folder),
             metrics=metrics,
             traces=Traces(settings.traces),
@@ -144,8 +145,14 @@ class ServiceState:
             raise
         await anyio.to_thread.run_sync(self.recording_workers.renew, prepared)
 
+    def drain(self) -> None:
+        """Accept nothing new and end all streams in order."""
+        self.lifecycle.enter(Phase.DRAINING)
+        self.streams.drain()
+
     async def stop(self) -> None:
         """End all worker processes, send the last traces."""
+        self.lifecycle.enter(Phase.ENDING)
         await self.stream_workers.stop()
         await anyio.to_thread.run_sync(self.recording_workers.stop)
         await anyio.to_thread.run_sync(self.traces.stop)
@@ -159,18 +166,16 @@ class ServiceState:
     @property
     def ready(self) -> bool:
         """Whether new work may come: /readyz in one word."""
-        return self.registry is not None and not (self.leaving or self.streams.draining)
+        return self.registry is not None and not self.lifecycle.reached(Phase.LEAVING)
 
     def check_ready(self) -> None:
         """Raise NotReady or Draining where new work had better go elsewhere."""
         self.admit()
-        if self.leaving:
-            raise Draining(SHUTTING_DOWN)
+        self.lifecycle.check(Phase.LEAVING)
 
     def admit(self) -> BundleRegistry:
         """The loaded bundles for something new; raises Draining once the service shuts down."""
-        if self.streams.draining:
-            raise Draining(SHUTTING_DOWN)
+        self.lifecycle.check(Phase.DRAINING)
         return self.models()
 
 

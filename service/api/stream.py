@@ -26,7 +26,7 @@ from service.machine.memory import give_back_memory
 from service.observability.logs import session_id
 from service.protocol import SUBPROTOCOL
 from service.protocol.close_codes import CloseCode
-from service.protocol.server_messages import OdasSsl, OdasSst, Result, ServerMessage, Stats
+from service.protocol.server_messages import RESULTS, ServerMessage, Stats
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session
 from service.streaming.work import Close, Outcome
@@ -42,7 +42,7 @@ PAUSE_S = 0.05
 BURST = 1000
 """Messages beyond, after a quiet time"""
 
-DROPPABLE = (Result, OdasSsl, OdasSst, Stats)
+DROPPABLE = (*RESULTS, Stats)
 """Messages that are about now: old ones make room for new ones"""
 
 router = APIRouter()

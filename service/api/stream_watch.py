@@ -9,19 +9,16 @@ from typing import Any
 
 from service.observability.metrics import Metrics
 from service.protocol.server_messages import (
+    RESULTS,
     Closing,
-    OdasSst,
+    OdasSsl,
     Ready,
-    Result,
     ServerMessage,
     StreamError,
 )
 from service.streaming.account import Account
 
 log = logging.getLogger(__name__)
-
-RESULTS = (Result, OdasSst)
-"""Messages of which every result has exactly one"""
 
 
 class StreamWatch:
@@ -60,7 +57,7 @@ class StreamWatch:
 
     def said(self, message: ServerMessage, client: str | None) -> float | None:
         """Take note of a message to the client; the arrival of a result's last audio, or None."""
-        if isinstance(message, RESULTS):
+        if isinstance(message, RESULTS) and not isinstance(message, OdasSsl):  # an sst follows
             lag = self._account.lag_ms / 1000
             self._metrics.lag(lag)
             return self._time() - lag

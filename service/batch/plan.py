@@ -9,7 +9,8 @@ from typing import Any, Self
 from service.audio.recording import AudioLimits
 from service.errors import InvalidOption
 from service.inference.choice import choose_method
-from service.inference.results import Method, ModelIdentity
+from service.inference.results import ModelIdentity
+from service.protocol.methods import Method
 from service.recordings.answers import ModelAnswer
 from service.recordings.job import RecordingJob
 from service.recordings.options import LocalizeRequest

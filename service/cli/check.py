@@ -7,8 +7,14 @@ import json
 import math
 from typing import TYPE_CHECKING, Any
 
-from service.cli.inputs import add_recording, choose_channels, open_recording, read_array
-from service.cli.terminal import line, output, table
+from service.cli.inputs import (
+    add_array,
+    add_recording,
+    open_recording,
+    read_array,
+    read_channel_map,
+)
+from service.cli.terminal import line, output, table, warn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,6 +22,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from service.doa.diagnostics import ChannelLevels, DiagnosticReport
+    from service.inference.results import AudioWarning
 
 NAME = "check"
 SUMMARY = "find what is wrong with a recording: dead, copied, clipped, late, swapped channels"
@@ -27,20 +34,19 @@ FOUND = 1
 
 def configure(parser: argparse.ArgumentParser) -> None:
     add_recording(parser)
-    parser.add_argument(
-        "--array",
-        metavar="NAME|JSON|@FILE",
-        help="the microphone array; without it the order of the channels is not checked",
-    )
+    without = "; without it the order of the channels is not checked"
+    add_array(parser, required=False, help=without)
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(args: argparse.Namespace) -> int:
     from service.doa.diagnostics import ChannelDiagnostics, LevelMeter
+    from service.inference.geometry import choose_channels
 
     array = read_array(args.array) if args.array is not None else None
     with open_recording(args.file) as recording:
-        chosen = choose_channels(recording, array, args.channel_map)
+        given = read_channel_map(args.channel_map)
+        chosen, assumed = choose_channels(recording.channels, array, given)
         meter = LevelMeter(recording.channels)  # all channels are shown, the chosen ones judged
         diagnostics = ChannelDiagnostics(recording.sample_rate, len(chosen), chosen)
         for block in recording.blocks(range(recording.channels), recording.sample_rate):
@@ -53,11 +59,13 @@ def run(args: argparse.Namespace) -> int:
         }
     report = diagnostics.report(array)
     if args.json:
-        print(json.dumps(_document(audio, chosen, meter.levels(), report), indent=2))
+        print(json.dumps(_document(audio, chosen, assumed, meter.levels(), report), indent=2))
     else:
         console = output()
         line(console, f"{args.file}: {_summary(audio)}", "bold")
         _print_levels(console, meter.levels(), chosen)
+        for warning in assumed:
+            warn(console, warning)
         _print_findings(console, report)
     return FOUND if report.findings else 0
 
@@ -67,7 +75,11 @@ def _summary(audio: dict[str, Any]) -> str:
 
 
 def _document(
-    audio: dict[str, Any], chosen: Sequence[int], levels: ChannelLevels, report: DiagnosticReport
+    audio: dict[str, Any],
+    chosen: Sequence[int],
+    assumed: Sequence[AudioWarning],
+    levels: ChannelLevels,
+    report: DiagnosticReport,
 ) -> dict[str, Any]:
     """What ``--json`` prints; a level of minus infinity is null."""
     channels = [
@@ -87,6 +99,7 @@ def _document(
     return {
         "audio": audio,
         "channel_map": list(chosen),
+        "warnings": [{"code": warning.code, "detail": warning.detail} for warning in assumed],
         "levels": channels,
         "findings": findings,
         "geometry_unchecked": report.unchecked,

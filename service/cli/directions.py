@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from rich.console import Console
 
-from service.cli.terminal import clock, degrees, line, output, sector, table
+from service.cli.terminal import clock, degrees, line, output, sector, table, warn
 from service.doa.peaks import circular_difference
 from service.inference.results import Source
 from service.recordings.results import RecordingResult, WindowResult
@@ -35,7 +35,7 @@ def print_result(result: RecordingResult) -> None:
     console.print(drawn)
     _print_summary(console, result)
     for warning in result.warnings:
-        line(console, f"warning: {warning.code}: {warning.detail}", "yellow")
+        warn(console, warning)
 
 
 def stretches(windows: Sequence[WindowResult]) -> list[Interval]:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from service.errors import ChannelMismatch, InvalidOption
+from service.errors import InvalidOption
 
 if TYPE_CHECKING:
     from service.audio.recording import AudioLimits, Recording
@@ -25,35 +25,28 @@ class Arguments(Protocol):
     def add_argument(self) -> Callable[..., argparse.Action]: ...
 
 
-class Channels(Protocol):
-    """Anything with channels: a recording or an audio device."""
-
-    @property
-    def channels(self) -> int: ...
-
-
 def add_recording(parser: argparse.ArgumentParser) -> None:
     """The positional FILE and ``--channel-map``."""
     parser.add_argument("file", type=Path, metavar="FILE", help="a multichannel WAV or FLAC file")
     add_channel_map(parser)
 
 
-def add_channel_map(parser: argparse.ArgumentParser) -> None:
+def add_channel_map(parser: Arguments) -> None:
     """``--channel-map``."""
     parser.add_argument(
         "--channel-map",
         metavar="0,1,...",
-        help="the file's channel of every microphone, from 0, where the file has more channels",
+        help="the channel of every microphone, from 0, where there are more channels",
     )
 
 
-def add_array(parser: argparse.ArgumentParser) -> None:
-    """The required ``--array``."""
+def add_array(parser: Arguments, *, required: bool = True, help: str = "") -> None:
+    """``--array``."""
     parser.add_argument(
         "--array",
-        required=True,
+        required=required,
         metavar="NAME|JSON|@FILE",
-        help="the microphone array: a preset (neuralmusic arrays), or JSON with positions_m",
+        help="the microphone array: a preset (neuralmusic arrays), or JSON with positions_m" + help,
     )
 
 
@@ -105,53 +98,14 @@ def array_text(argument: str) -> str:
 
 def read_array(argument: str) -> MicrophoneArray:
     """The array of ``--array``: a preset's name, JSON or ``@file.json``."""
-    from service.recordings import geometry
+    from service.recordings.options import read_option
 
-    text = array_text(argument).strip()
-    if not text:
-        raise InvalidOption("array is empty: give a preset's name, JSON or @file.json")
-    return geometry.read_array(text)
+    array: MicrophoneArray = read_option("array", array_text(argument))
+    return array
 
 
-def choose_channels(
-    source: Channels, array: MicrophoneArray | None, channel_map: str | None, what: str = "file"
-) -> tuple[int, ...]:
-    """The channels of a file, or of ``what`` it is, that are microphones.
+def read_channel_map(argument: str | None) -> tuple[int, ...] | None:
+    """The channels of ``--channel-map``, if it was given."""
+    from service.recordings.options import read_option
 
-    They are those of ``--channel-map``, or all, or what the preset's firmware is known to deliver.
-
-    Raises
-    ------
-    ChannelMismatch
-        If its channels do not fit the array or the map.
-    """
-    from service.doa.array import validate_channel_map
-    from service.doa.presets import RAW_CHANNELS
-    from service.recordings.geometry import read_channel_map
-
-    if channel_map is not None:
-        try:
-            chosen = read_channel_map(channel_map)
-        except ValueError as error:
-            raise InvalidOption(f"channel_map {error}") from None
-        validate_channel_map(chosen, array.num_microphones if array else len(chosen))
-        if max(chosen) >= source.channels:
-            raise ChannelMismatch(
-                f"channel_map names channel {max(chosen)}, but the {what} has {source.channels} "
-                f"channels, 0 to {source.channels - 1}"
-            )
-        return chosen
-    if array is None or array.num_microphones == source.channels:
-        return tuple(range(source.channels))
-    raw = RAW_CHANNELS.get(array.name, {}).get(source.channels)
-    if raw is None:
-        advice = (
-            "name their channels with --channel-map"
-            if source.channels > array.num_microphones
-            else "record all microphones as separate channels, or choose the array that was used"
-        )
-        raise ChannelMismatch(
-            f"the {what} has {source.channels} channel{'s' if source.channels != 1 else ''}, but "
-            f"{array.name} has {array.num_microphones} microphones: {advice}"
-        )
-    return raw
+    return None if argument is None else read_option("channel_map", argument)

@@ -30,7 +30,6 @@ class AudioSource(Protocol):
 
     audio: dict[str, Any]
     """The fields of ``AudioFormat``"""
-    channels: int
     live: bool
     """True where audio gets stale when it waits"""
 

@@ -1,4 +1,4 @@
-"""How recordings are to be localized, as flags: the same for every command that does."""
+"""How sound is to be localized, as flags: the same for every command that does."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from service.cli.inputs import array_text
+from service.cli.inputs import Arguments, array_text
 
 if TYPE_CHECKING:
     from service.recordings.options import LocalizeRequest
@@ -26,28 +26,34 @@ NAMES = (
 """Of the flags that are options of the HTTP interface, besides the array"""
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """``--method``, ``--model``, ``--window`` and the like."""
-    from service.inference.results import METHODS
+def add_choices(parser: Arguments) -> None:
+    """``--method``, ``--model`` and the like, which recordings and streams share."""
+    from service.protocol.methods import METHODS
 
-    parser.add_argument("--method", choices=METHODS, help="neural where a model fits the array")
-    parser.add_argument("--model", metavar="NAME", help="the model bundle")
+    add = parser.add_argument
+    add("--method", choices=METHODS, help="neural where a model fits the array")
+    add("--model", metavar="NAME", help="the model bundle")
+    add("--num-sources", metavar="M", help="the known number of sources")
+    add("--max-sources", metavar="M", help="most sources, where it is estimated")
+    add("--yaw", dest="yaw_deg", metavar="DEGREES", help="how far the array is turned on the robot")
+    add(
+        "--exclude",
+        dest="exclude_deg",
+        action="append",
+        metavar="FROM:TO,...",
+        help="sectors in degrees, counter-clockwise, in which nothing is reported; repeatable "
+        "(--exclude=-30:30 around the front)",
+    )
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """``add_choices``, ``--window`` and the like."""
+    add_choices(parser)
     parser.add_argument(
         "--models", metavar="FOLDER", help="folders of further bundles, separated as in PATH"
     )
-    parser.add_argument("--num-sources", metavar="M", help="the known number of sources")
-    parser.add_argument("--max-sources", metavar="M", help="most sources, where it is estimated")
     parser.add_argument("--window", dest="window_s", metavar="SECONDS", help="audio per result")
     parser.add_argument("--hop", dest="hop_s", metavar="SECONDS", help="time between results")
-    parser.add_argument(
-        "--yaw", dest="yaw_deg", metavar="DEGREES", help="how far the array is turned on the robot"
-    )
-    parser.add_argument(
-        "--exclude",
-        dest="exclude_deg",
-        metavar="FROM:TO,...",
-        help="sectors in degrees in which nothing is reported (--exclude=-30:30 around the front)",
-    )
     parser.add_argument(
         "--noise",
         type=Path,
@@ -58,8 +64,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def given_options(args: argparse.Namespace) -> dict[str, str]:
     """The options that were given, by the HTTP interface's names and as its text."""
-    flags = {name: getattr(args, name) for name in NAMES}
+    flags = {name: getattr(args, name, None) for name in NAMES}
     given = {name: text for name, text in flags.items() if text is not None}
+    if "exclude_deg" in given:
+        given["exclude_deg"] = ",".join(given["exclude_deg"])
     return {"array": array_text(args.array), **given}
 
 

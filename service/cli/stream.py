@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from service.cli.inputs import add_array, add_channel_map, add_key, given_key
+from service.cli.options import add_choices, given_options
 from service.errors import InvalidOption
 
 if TYPE_CHECKING:
@@ -29,48 +31,25 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_source(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument_group("audio").add_argument
+    group = parser.add_argument_group("audio")
+    add = group.add_argument
     add("file", nargs="?", type=Path, metavar="FILE", help="a multichannel WAV or FLAC file")
     add("--realtime", action="store_true", help="send the file as fast as it was recorded")
     add("--device", metavar="NAME", help="record from this device instead of a file")
     add("--list-devices", action="store_true", help="list the devices that record")
     add("--sample-rate", type=int, metavar="HZ", help="of the device (default: its own)")
-    add(
-        "--array",
-        metavar="NAME|JSON|@FILE",
-        help="the microphone array: a preset (neuralmusic arrays), or JSON with positions_m",
-    )
-    add(
-        "--channel-map",
-        metavar="0,1,...",
-        help="the channel of every microphone, from 0, where there are more channels",
-    )
+    add_array(group, required=False)  # --list-devices needs none
+    add_channel_map(group)
 
 
 def _add_session(parser: argparse.ArgumentParser) -> None:
-    from typing import get_args
-
-    from service.cli.inputs import add_key
-    from service.protocol.client_messages import StreamMethod
-
     group = parser.add_argument_group("session")
     add = group.add_argument
     add("--url", default=URL, help=f"the service (default: {URL})")
     add("--wait", type=float, default=0.0, metavar="SECONDS", help="wait for it this long")
     add_key(group)
-    add("--method", choices=get_args(StreamMethod), help="neural where a model fits the array")
-    add("--model", metavar="NAME", help="the model bundle")
+    add_choices(group)
     add("--interval-ms", type=int, metavar="MS", help="audio between results (default: 100)")
-    add("--max-sources", type=int, metavar="M", help="most sources, where they are counted")
-    add("--num-sources", type=int, metavar="M", help="the known number of sources")
-    add("--yaw", type=float, metavar="DEG", help="how far the array is turned on the robot")
-    add(
-        "--exclude",
-        action="append",
-        metavar="FROM:TO",
-        help="report nothing between these degrees, counter-clockwise; repeatable "
-        "(--exclude=-30:30 around the front)",
-    )
     add("--client", metavar="NAME", help="the robot's name, under which its noise is kept")
     add("--calibrate", type=float, metavar="SECONDS", help="first learn the robot's own noise")
 
@@ -129,51 +108,32 @@ def _source(args: argparse.Namespace) -> AudioSource:
 
 
 def _stream(args: argparse.Namespace, source: AudioSource) -> StreamClient:
-    """The stream that was asked for, not yet open."""
-    from service.cli.inputs import choose_channels, given_key, read_array
+    """The stream that was asked for, not yet open; channels are the service's to choose."""
     from service.client import StreamClient
     from service.doa.presets import PRESETS
+    from service.recordings.options import read_option
 
-    array = read_array(args.array)
-    what = "device" if args.device is not None else "file"
-    channels = choose_channels(source, array, args.channel_map, what)
+    given = {name: read_option(name, text) for name, text in given_options(args).items()}
+    array = given.pop("array")
     geometry: dict[str, Any] = {"name": array.name}
     if PRESETS.get(array.name) is not array:
         geometry["positions_m"] = array.positions
-    fields = {
-        "audio": source.audio,
-        "array": geometry,
-        "channel_map": list(channels),
-        "output": _output_options(args),
-        "overflow": "drop_oldest" if source.live else "block",
-        **{name: getattr(args, name) for name in ("method", "model", "client")},
-    }
+    start = {"client": args.client} if args.client is not None else {}
+    start |= {name: given.pop(name) for name in ("channel_map", "method", "model") if name in given}
+    if args.interval_ms is not None:
+        given["interval_ms"] = args.interval_ms
+    if _odas(args):
+        given["format"] = "odas"
     return StreamClient(
         args.url,
         key=given_key(args.key),
         wait_s=args.wait,
-        **{name: value for name, value in fields.items() if value is not None},
+        audio=source.audio,
+        array=geometry,
+        output=given,
+        overflow="drop_oldest" if source.live else "block",
+        **start,
     )
-
-
-def _output_options(args: argparse.Namespace) -> dict[str, Any]:
-    options = {
-        "interval_ms": args.interval_ms,
-        "max_sources": args.max_sources,
-        "num_sources": args.num_sources,
-        "yaw_deg": args.yaw,
-        "exclude_deg": [_sector(text) for text in args.exclude] if args.exclude else None,
-        "format": "odas" if _odas(args) else None,
-    }
-    return {name: value for name, value in options.items() if value is not None}
-
-
-def _sector(text: str) -> tuple[float, float]:
-    first, _, last = text.partition(":")
-    try:
-        return float(first), float(last)
-    except ValueError:
-        raise InvalidOption(f"--exclude must be FROM:TO in degrees, but is {text!r}") from None
 
 
 def _follow(args: argparse.Namespace, stream: StreamClient, source: AudioSource) -> int:

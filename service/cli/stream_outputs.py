@@ -14,6 +14,7 @@ from service.cli.odas import odas_text
 from service.client import Reconnecting, StreamEvent
 from service.errors import InvalidOption
 from service.protocol.server_messages import (
+    RESULTS,
     Calibrated,
     Closing,
     OdasSsl,
@@ -23,7 +24,6 @@ from service.protocol.server_messages import (
     Summary,
 )
 
-RESULTS = (Result, OdasSst, OdasSsl)
 COLUMNS = (
     "t_end", "capture_time_ns", "id", "azimuth_deg", "confidence", "active",
     "velocity_deg_s", "std_deg", "lag_ms",

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 import sys
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+
+if TYPE_CHECKING:
+    from service.inference.results import AudioWarning
 
 PIPE_WIDTH = 120  # columns where there is no terminal to ask
 
@@ -45,6 +49,11 @@ def table(console: Console, *columns: str, right: tuple[str, ...] = ()) -> Table
 def line(console: Console, text: str, style: str | None = None) -> None:
     """Print text as it is: brackets are no markup."""
     console.print(escape(text), style=style, soft_wrap=True)
+
+
+def warn(console: Console, warning: AudioWarning) -> None:
+    """Print a warning about the input."""
+    line(console, f"warning: {warning.code}: {warning.detail}", "yellow")
 
 
 def sector(azimuth: float) -> str:

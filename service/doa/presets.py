@@ -182,3 +182,14 @@ RAW_CHANNELS: Mapping[str, Mapping[int, tuple[int, ...]]] = MappingProxyType(
 
 Only for devices whose firmware delivers more channels than the array has microphones.
 """
+
+
+def raw_channels(array: MicrophoneArray, channels: int) -> tuple[int, ...] | None:
+    """The raw microphones among so many channels of a preset's firmware; None where unknown.
+
+    An array under a preset's name with as many microphones is that device, calibrated or turned.
+    """
+    device = PRESETS.get(array.name)
+    if device is None or device.num_microphones != array.num_microphones:
+        return None
+    return RAW_CHANNELS.get(array.name, {}).get(channels)

@@ -1,58 +1,13 @@
-"""What a recording or a stream is localized with: its channels, the method, the model."""
+"""What a recording or a stream is localized with: the method, the model."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from service.doa.array import MicrophoneArray, validate_channel_map
-from service.doa.presets import RAW_CHANNELS
-from service.errors import ChannelMismatch, GeometryMismatch, TooManySources
+from service.doa.array import MicrophoneArray
+from service.errors import GeometryMismatch, TooManySources
 from service.inference.bundle import Bundle
 from service.inference.registry import BundleRegistry
-from service.inference.results import AudioWarning, Method
-
-
-def choose_channels(
-    channels: int, array: MicrophoneArray, channel_map: Sequence[int] | None
-) -> tuple[int, ...]:
-    """One channel per microphone of audio with ``channels`` channels.
-
-    Raises
-    ------
-    InvalidChannelMap
-        If the map does not name one distinct channel per microphone.
-    ChannelMismatch
-        If the audio's channels do not fit, with what to do.
-    """
-    microphones = array.num_microphones
-    if channel_map is not None:
-        chosen = validate_channel_map(channel_map, microphones)
-        if max(chosen) >= channels:
-            raise ChannelMismatch(
-                f"channel_map names channel {max(chosen)}, but the audio has {channels} "
-                f"channels, 0 to {channels - 1}"
-            )
-        return chosen
-    if channels == microphones:
-        return tuple(range(microphones))
-    raw = RAW_CHANNELS.get(array.name, {}).get(channels)
-    if raw:
-        listed = ",".join(map(str, raw))
-        advice = (
-            f"this device's {channels}-channel firmware has the raw microphones in channels "
-            f"{', '.join(map(str, raw))}: pass channel_map={listed} (--channel-map {listed})"
-        )
-    elif channels > microphones:
-        advice = (
-            f"pass channel_map (--channel-map) with the {microphones} channels of the raw "
-            "microphones"
-        )
-    else:
-        advice = "record all microphones as separate channels, or choose the array that was used"
-    raise ChannelMismatch(
-        f"the audio has {channels} channel{'s' if channels != 1 else ''}, but the array "
-        f"{array.name} has {microphones} microphones: {advice}"
-    )
+from service.inference.results import AudioWarning
+from service.protocol.methods import Method
 
 
 def check_num_sources(num_sources: int | None, microphones: int) -> None:

@@ -19,7 +19,8 @@ from service.doa.steering import azimuth_grid, steering_vectors
 from service.doa.stft import Stft
 from service.doa.types import ComplexArray, FloatArray
 from service.doa.whitening import NoiseCovariance, Whitening
-from service.inference.results import Method, Source, WindowEstimate
+from service.inference.results import Source, WindowEstimate
+from service.protocol.methods import Method
 
 BAND = (300.0, 3500.0)
 """Hertz: below it small arrays see no delay, above it speech is weak and delays are ambiguous"""

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 from service.doa.types import FloatArray
-
-Method = Literal["neural", "norm_music", "music", "srp_phat"]
-METHODS: tuple[Method, ...] = get_args(Method)
 
 MAX_SOURCES = 4
 

@@ -27,9 +27,10 @@ from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import localizer_of
 from service.inference.recent_blocks import WINDOW_BLOCKS
 from service.inference.regression import RegressionLocalizer
-from service.inference.results import Method, WindowEstimate
+from service.inference.results import WindowEstimate
 from service.inference.weights import BLOCK_FRAMES
 from service.inference.weights_stream import WeightsStream
+from service.protocol.methods import Method
 
 
 class StreamLocalizer(Protocol):

@@ -8,12 +8,12 @@ from pydantic import Field, TypeAdapter, field_validator
 
 from service.protocol.framing import SAMPLE_BYTES, Encoding, HeaderKind
 from service.protocol.message import Message, message_type, read_message
+from service.protocol.methods import Method
 
 Position = tuple[float, float, float]
 Sector = tuple[float, float]
 Include = Literal["spectrum"]
 OutputFormat = Literal["doa", "odas"]
-StreamMethod = Literal["neural", "norm_music", "music", "srp_phat"]
 MIN_INTERVAL_MS, MAX_INTERVAL_MS = 20, 1000
 CLIENT_NAME = r"^[A-Za-z0-9._-]{1,64}$"
 
@@ -89,11 +89,12 @@ class Start(Message):
     audio: AudioFormat
     array: ArrayChoice
     channel_map: Annotated[list[int], Field(min_length=1, max_length=64)] | None = None
-    """The stream's channel of every microphone, from 0; without it there must be as many channels
-    as microphones"""
+    """The stream's channel of every microphone, from 0; without it as many channels as microphones
+    are taken as they are, and those of the preset's firmware (`raw_channels` of `GET /arrays`) by
+    its layout, with the warning `channel_map_assumed`"""
     model: Annotated[str, Field(min_length=1, max_length=64)] = "default"
     """A model's name (`GET /models`); `default` is the first that fits the array"""
-    method: StreamMethod | None = None
+    method: Method | None = None
     """Null is `neural` where a model fits the array, else `norm_music`"""
     output: OutputOptions = OutputOptions()
     overflow: Literal["drop_oldest", "block"] = "drop_oldest"

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import ConfigDict, Field, TypeAdapter
 
 from service.protocol.message import Message, message_type, read_message
+from service.protocol.methods import Method
 
 WarningCode = Literal[
     "audio_dropped",
@@ -23,6 +24,7 @@ WarningCode = Literal[
     "array_scale",
     "channel_processed",
     "sample_rate_wrong",
+    "channel_map_assumed",
     "no_model_for_array",
     "front_back_ambiguous",
     "noise_mismatch",
@@ -105,7 +107,7 @@ class Ready(ServerMessage):
     """The session's id, as in `GET /sessions`"""
     model: StreamModel | None
     """Null where a classical method answers"""
-    method: Literal["neural", "norm_music", "music", "srp_phat"]
+    method: Method
     array: StreamArray
     channel_map: list[int]
     """The stream's channel of every microphone, from 0"""
@@ -322,6 +324,8 @@ SERVER_MESSAGES: tuple[type[ServerMessage], ...] = (
     Closing,
     Summary,
 )
+RESULTS = (Result, OdasSsl, OdasSst)
+"""Messages that say where sounds come from: of a client that lags behind, old ones are dropped"""
 AnyServerMessage = (
     Ready
     | Result

@@ -10,7 +10,6 @@ from functools import partial
 import numpy as np
 
 from service.audio.recording import Recording
-from service.doa.array import MicrophoneArray
 from service.doa.diagnostics import ChannelDiagnostics
 from service.doa.orientation import Orientation
 from service.doa.silence import SILENCE
@@ -18,14 +17,14 @@ from service.doa.stft import Stft
 from service.doa.types import FloatArray
 from service.inference.choice import (
     check_num_sources,
-    choose_channels,
     choose_method,
     method_warnings,
 )
 from service.inference.classical import ClassicalLocalizer
+from service.inference.geometry import choose_channels
 from service.inference.localizer import Localizer, estimate_stretch, localizer_of
 from service.inference.registry import BundleRegistry
-from service.inference.results import AudioWarning, Method, WindowEstimate
+from service.inference.results import AudioWarning, WindowEstimate
 from service.inference.windows import Stretch, stretches, windows
 from service.recordings.forked_workers import in_order
 from service.recordings.identities import identified
@@ -65,7 +64,7 @@ def localize_recording(
         If one of the processes was killed.
     """
     array = options.array
-    channel_map = choose_channels(recording.channels, array, options.channel_map)
+    channel_map, assumed = choose_channels(recording.channels, array, options.channel_map)
     check_num_sources(options.num_sources, array.num_microphones)
     method, bundle = choose_method(options.method, options.model, array, registry)
     stft = bundle.stft if bundle else Stft()
@@ -97,7 +96,11 @@ def localize_recording(
         channel_map=channel_map,
         windows=results,
         summary=summarise(results),
-        warnings=_warnings(options, method, array, diagnostics),
+        warnings=[
+            *assumed,
+            *(AudioWarning(f.code, f.detail) for f in diagnostics.findings(array)),
+            *method_warnings(options.method, method, array),
+        ],
         stretches=sizes,
     )
 
@@ -155,13 +158,3 @@ def _observed(
     for block in blocks:
         diagnostics.add(block)
         yield block
-
-
-def _warnings(
-    options: LocalizeOptions,
-    method: Method,
-    array: MicrophoneArray,
-    diagnostics: ChannelDiagnostics,
-) -> list[AudioWarning]:
-    found = [AudioWarning(f.code, f.detail) for f in diagnostics.findings(array)]
-    return found + method_warnings(options.method, method, array)

@@ -16,8 +16,9 @@ from service.doa.array import MicrophoneArray, validate_channel_map
 from service.doa.orientation import Orientation
 from service.doa.presets import PRESETS
 from service.errors import InvalidOption, TooManySources, UnknownMethod
-from service.inference.results import MAX_SOURCES, METHODS
-from service.recordings.geometry import read_array, read_channel_map
+from service.inference.geometry import read_array, read_channel_map
+from service.inference.results import MAX_SOURCES
+from service.protocol.methods import METHODS
 from service.recordings.results import (
     DEFAULT_HOP_S,
     DEFAULT_MAX_SOURCES,
@@ -124,7 +125,9 @@ OPTIONS: Mapping[str, Option] = {
         read_channel_map,
         {"type": "string"},
         "The recording's channel of every microphone, from 0, as `1,2,3,4` or a JSON list. "
-        "Without it the recording must have exactly one channel per microphone.",
+        "Without it a recording with one channel per microphone is taken as it is, one with the "
+        "channels of the preset's firmware (`raw_channels` of `GET /arrays`) by its layout, with "
+        "the warning `channel_map_assumed`.",
         example="1,2,3,4",
     ),
     "model": Option(
@@ -191,7 +194,7 @@ def read_options(pairs: Iterable[tuple[str, str]]) -> LocalizeRequest:
     for name, text in pairs:
         if name in values:
             raise InvalidOption(f"{name} was given twice: give it once")
-        values[name] = _read(name, text.strip())
+        values[name] = read_option(name, text)
     if "array" not in values:
         raise InvalidOption(
             "array is missing: name the microphone array, one of "
@@ -206,7 +209,9 @@ def read_options(pairs: Iterable[tuple[str, str]]) -> LocalizeRequest:
     return LocalizeRequest(LocalizeOptions(**values), spectrum, noise)
 
 
-def _read(name: str, text: str) -> Any:
+def read_option(name: str, text: str) -> Any:
+    """The value of one option from its text, or InvalidOption."""
+    text = text.strip()
     option = OPTIONS.get(name)
     if option is None:
         close = get_close_matches(name, OPTIONS, n=1)

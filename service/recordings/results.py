@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from service.doa.array import MicrophoneArray
 from service.doa.orientation import ALIGNED, Orientation
 from service.doa.whitening import NoiseCovariance
-from service.inference.results import AudioWarning, Method, ModelIdentity, WindowEstimate
+from service.inference.results import AudioWarning, ModelIdentity, WindowEstimate
+from service.protocol.methods import Method
 
 DEFAULT_WINDOW_S = 1.024
 DEFAULT_HOP_S = 0.512

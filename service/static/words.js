@@ -15,6 +15,7 @@ const TITLES = {
   array_scale: "The array's size does not fit",
   channel_processed: "A channel is processed",
   sample_rate_wrong: "The sample rate does not fit",
+  channel_map_assumed: "The device's channels were assumed",
   no_model_for_array: "No model for this array",
   front_back_ambiguous: "Front and back look alike",
   noise_mismatch: "The noise has changed",

@@ -4,26 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
-from service.doa.array import MicrophoneArray
-from service.doa.presets import preset
 from service.doa.stft import Stft
 from service.errors import (
     InvalidChannelMap,
-    InvalidGeometry,
     InvalidOption,
     NoiseMismatch,
 )
 from service.inference.choice import (
     check_num_sources,
-    choose_channels,
     choose_method,
     method_warnings,
 )
+from service.inference.geometry import choose_channels, given_array
 from service.inference.registry import BundleRegistry
 from service.inference.results import AudioWarning
-from service.protocol.client_messages import ArrayChoice
 from service.protocol.server_messages import StreamArray, StreamModel
 from service.streaming.pipeline import StreamPipeline, StreamPlan
 from service.streaming.work import Open, StreamOpened
@@ -40,10 +34,10 @@ def open_stream(work: Open, registry: BundleRegistry) -> tuple[StreamPipeline, S
         If the start's parts do not fit each other or what is loaded.
     """
     start = work.start
-    array = read_array(start.array)
+    array = given_array(start.array.name, start.array.positions_m)
     if None not in (start.channel_map, start.array.channel_map):
         raise InvalidChannelMap("channel_map is given twice, in the start and in its array")
-    channels = choose_channels(
+    channels, assumed = choose_channels(
         start.audio.channels, array, start.channel_map or start.array.channel_map
     )
     check_num_sources(start.output.num_sources, array.num_microphones)
@@ -51,7 +45,7 @@ def open_stream(work: Open, registry: BundleRegistry) -> tuple[StreamPipeline, S
     method, bundle = choose_method(start.method, model, array, registry)
     stft = bundle.stft if bundle else Stft()
     plan = StreamPlan(start.audio, array, channels, method, bundle, stft, work.noise)
-    warnings = method_warnings(start.method, method, array)
+    warnings = assumed + method_warnings(start.method, method, array)
     try:
         pipeline = StreamPipeline(plan)
     except (NoiseMismatch, InvalidOption) as error:
@@ -88,15 +82,3 @@ def opened(
         warnings=warnings,
         clock=pipeline.clock,
     )
-
-
-def read_array(choice: ArrayChoice) -> MicrophoneArray:
-    """The preset of a name, or the array of given positions."""
-    if choice.positions_m is not None:
-        positions = np.array(choice.positions_m, dtype=np.float64)
-        return MicrophoneArray(choice.name or "custom", positions, "the request")
-    if choice.name is None:
-        raise InvalidGeometry(
-            'array holds neither a preset\'s name nor {"positions_m": [[x, y, z], ...]} in metres'
-        )
-    return preset(choice.name)

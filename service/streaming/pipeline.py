@@ -21,10 +21,11 @@ from service.doa.types import ComplexArray, FloatArray
 from service.doa.whitening import NoiseCovariance, NoiseEstimator
 from service.errors import InvalidOption, NoiseCalibrationFailed
 from service.inference.bundle import Bundle
-from service.inference.results import Method, WindowEstimate
+from service.inference.results import WindowEstimate
 from service.inference.stream import stream_localizer_of
 from service.protocol.client_messages import AudioFormat, OutputOptions
 from service.protocol.framing import NANOSECONDS
+from service.protocol.methods import Method
 from service.protocol.server_messages import WhyNoSource
 from service.streaming.buffer import Piece
 from service.streaming.clock import StreamClock

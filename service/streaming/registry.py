@@ -69,7 +69,6 @@ class SessionRegistry:
         self.max_sessions = max_sessions
         self._running: dict[str, SessionEntry] = {}
         self._ended: deque[SessionEntry] = deque(maxlen=KEPT)
-        self.draining = False
         self.empty = asyncio.Event()
         """Set while no session runs"""
         self.empty.set()
@@ -85,8 +84,7 @@ class SessionRegistry:
         return len(self._running)
 
     def drain(self) -> None:
-        """Take no more sessions and end all in order."""
-        self.draining = True
+        """End all sessions in order."""
         for entry in self.running_entries():
             entry.session.drain()
             entry.pump()

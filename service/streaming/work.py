@@ -13,8 +13,9 @@ from typing import NamedTuple
 from service.doa.diagnostics import Finding
 from service.doa.whitening import NoiseCovariance
 from service.errors import DoaError
-from service.inference.results import AudioWarning, Method
+from service.inference.results import AudioWarning
 from service.protocol.client_messages import OutputOptions, Start
+from service.protocol.methods import Method
 from service.protocol.server_messages import StreamArray, StreamModel
 from service.streaming.buffer import Piece
 from service.streaming.clock import StreamClock

@@ -6,15 +6,15 @@ import logging
 import signal
 import threading
 import time
-from collections.abc import Callable
-from typing import BinaryIO
+from collections.abc import Callable, Coroutine
+from typing import Any, BinaryIO
 
 import anyio
 import anyio.from_thread
 import anyio.to_thread
-from starlette.requests import ClientDisconnect, Request
 
-from service.errors import DecodingFailed, DoaError, Draining, Overloaded, WorkerLost
+from service.errors import DecodingFailed, DoaError, Overloaded, WorkerLost
+from service.lifecycle import Lifecycle, Phase
 from service.observability.metrics import Metrics
 from service.recordings.job import HeaderRead, Localized, Outcome, RecordingJob, Refused, Report
 from service.workers.link import Link, Setup
@@ -27,6 +27,8 @@ CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.
 
 Admit = Callable[[HeaderRead], None]
 """Raises a DoaError where a recording of this length is not to be localized"""
+StillWanted = Callable[[], Coroutine[Any, Any, None]]
+"""Raises an exception of the caller's where nobody waits for the answer any more"""
 
 
 class RecordingWorker:
@@ -118,12 +120,14 @@ class RecordingWorker:
 class RecordingWorkers:
     """At most ``most`` recordings at a time and ``queue`` waiting ones; more are refused."""
 
-    def __init__(self, most: int, queue: int, stall_s: float, metrics: Metrics) -> None:
+    def __init__(
+        self, most: int, queue: int, stall_s: float, metrics: Metrics, lifecycle: Lifecycle
+    ) -> None:
         self._limiter = anyio.CapacityLimiter(most)
         self._capacity = most + queue
         self._stall_s = stall_s
         self._metrics = metrics
-        self._draining = False
+        self._lifecycle = lifecycle
         self._lock = threading.Lock()
         self._idle: list[RecordingWorker] = []
         self._busy: set[RecordingWorker] = set()
@@ -134,32 +138,29 @@ class RecordingWorkers:
 
     def check(self) -> None:
         """Raise Draining or Overloaded where one more recording would be refused."""
-        self._check_draining()
+        self._lifecycle.check(Phase.ENDING)
         if self.admitted >= self._capacity:
             raise Overloaded(
                 f"{self.admitted} recordings are being localized or wait for it: try again later"
             )
 
     async def run(
-        self, request: Request, job: RecordingJob, file: BinaryIO, admit: Admit | None = None
+        self, job: RecordingJob, file: BinaryIO, admit: Admit, still_wanted: StillWanted
     ) -> Localized:
         """Have a recording localized once a worker is free.
 
         It ends once nobody waits for it any more: a robot that times out and retries would
-        otherwise pile up work.
+        otherwise pile up work. What ``admit`` and ``still_wanted`` raise passes through.
         """
-
         audio_s = 0.0
 
         def check(message: Report) -> None:
             nonlocal audio_s
-            self._check_draining()
+            self._lifecycle.check(Phase.ENDING)
             if isinstance(message, HeaderRead):
                 audio_s = message.duration
-                if admit is not None:
-                    admit(message)
-            if anyio.from_thread.run(request.is_disconnected):
-                raise ClientDisconnect
+                admit(message)
+            anyio.from_thread.run(still_wanted)
 
         self.check()
         self.admitted += 1
@@ -198,13 +199,8 @@ class RecordingWorkers:
         for worker in idle:
             worker.end()
 
-    def drain(self) -> None:
-        """End what runs at its next step, and refuse what comes."""
-        self._draining = True
-
     def stop(self) -> None:
-        """End all processes."""
-        self._draining = True
+        """End all processes, once the lifecycle is ending."""
         with self._lock:
             idle, self._idle = self._idle, []
             for worker in self._busy:
@@ -229,7 +225,7 @@ class RecordingWorkers:
         except (DecodingFailed, WorkerLost):
             with self._lock:
                 self._busy.discard(worker)
-            self._check_draining()
+            self._lifecycle.check(Phase.ENDING)
             self._metrics.worker_lost("file")
             raise
         except BaseException:
@@ -260,12 +256,8 @@ class RecordingWorkers:
     def _give_back(self, worker: RecordingWorker) -> None:
         with self._lock:
             self._busy.discard(worker)
-            keep = worker.setup is self.setup and not self._draining
+            keep = worker.setup is self.setup and not self._lifecycle.reached(Phase.ENDING)
             if keep:
                 self._idle.append(worker)
         if not keep:
             worker.end()
-
-    def _check_draining(self) -> None:
-        if self._draining:
-            raise Draining("the service is shutting down: try again in a moment")

@@ -74,9 +74,7 @@ def assert_problem(response: httpx2.Response, status: int, code: str, says: str 
             lambda s: noise(s, 1), 422, "channel_mismatch", "1 channel,", id="one channel"
         ),
         pytest.param(lambda s: noise(s, 5), 422, "channel_mismatch", "channel_map", id="five"),
-        pytest.param(
-            lambda s: noise(s, 6), 422, "channel_mismatch", "channel_map=1,2,3,4", id="raw firmware"
-        ),
+        pytest.param(lambda s: noise(s, 8), 422, "channel_mismatch", "the 4 channels", id="eight"),
         pytest.param(lambda s: noise(s, 65), 422, "too_many_channels", "at most 64", id="65"),
         pytest.param(with_sample(np.nan), 422, "audio_non_finite", "channel 2 is nan", id="NaN"),
         pytest.param(with_sample(np.inf), 422, "audio_non_finite", "channel 2 is inf", id="inf"),

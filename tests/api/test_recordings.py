@@ -24,6 +24,7 @@ from service.app import create_app
 from service.audio.recording import AudioLimits
 from service.errors import UNEXPECTED, InvalidOption
 from service.inference.registry import BundleRegistry
+from service.lifecycle import Phase
 from service.recordings.job import HeaderRead, Progress, RecordingJob, Refused, localize_file
 from service.recordings.options import read_options
 from service.settings import Settings
@@ -128,7 +129,7 @@ def test_what_a_decoder_prints_goes_nowhere(
 def test_a_stopping_service_ends_what_runs_and_refuses_what_comes(service: Any) -> None:
     running = service()
     with running.busy() as first:
-        running.workers.drain()
+        running.client.app.state.service.lifecycle.enter(Phase.ENDING)
     for response in (first.result(), running.post()):
         assert response.status_code == 503
         assert response.json()["code"] == "draining"

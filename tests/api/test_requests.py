@@ -15,6 +15,7 @@ from service.api.middleware.request_watch import SHOWN_PATH
 from service.app import create_app
 from service.errors import BundleNotFound
 from service.inference.registry import BundleRegistry
+from service.lifecycle import Phase
 from service.settings import Settings
 
 LOGGER = "service.api.middleware.request_watch"
@@ -127,7 +128,7 @@ def test_probes_are_quiet_while_all_is_well(
     for path in ("/livez", "/readyz", "/metrics"):
         client.get(path)
     assert not lines(caplog)
-    client.app.state.service.streams.draining = True  # type: ignore[attr-defined]
+    client.app.state.service.lifecycle.enter(Phase.DRAINING)  # type: ignore[attr-defined]
     client.get("/readyz")
     (line,) = lines(caplog)
     assert (line["levelname"], line["code"]) == ("WARNING", "draining")

@@ -36,6 +36,7 @@ from service.doa.whitening import NoiseCovariance
 from service.errors import BundleNotFound
 from service.inference.noise_profile import noise_bytes
 from service.inference.noise_store import CAPACITY
+from service.lifecycle import Lifecycle, Phase
 from service.settings import Settings
 
 DOCUMENT = yaml.safe_load((Path(__file__).parents[2] / "openapi.yaml").read_text())
@@ -95,7 +96,9 @@ State = Callable[[Subject], AbstractContextManager[None]]
 
 @contextmanager
 def draining(subject: Subject) -> Iterator[None]:
-    with patch.object(subject.service.state.streams, "draining", True):
+    lifecycle = Lifecycle()
+    lifecycle.enter(Phase.DRAINING)
+    with patch.object(subject.service.state, "lifecycle", lifecycle):
         yield
 
 

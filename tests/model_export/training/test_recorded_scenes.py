@@ -85,7 +85,7 @@ def test_an_empty_folder_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("audio", "message"),
     [
-        (noise(2, 2), "2 channels, but recordings of respeaker-usb-4mic-v2 have 4 or 6"),
+        (noise(2, 2), "the audio has 2 channels, but the array respeaker-usb-4mic-v2 has 4"),
         (noise(0.5, 4), "shorter than a window of 1.04 s"),
         (np.zeros((32000, 4)), "silent from beginning to end"),
         (np.full((32000, 4), np.nan), "channel 0 is nan at 0.000 s"),

@@ -62,7 +62,7 @@ def test_a_file_may_have_more_channels_than_microphones(
     shuffled = np.concatenate([audio[:, ::-1], np.zeros_like(audio[:, :1])], axis=1)
     wide = tmp_path / "wide.flac"
     soundfile.write(wide, shuffled, RATE)
-    assert "name their channels" in refusal(capsys, str(wide), *stream_flags[1:])
+    assert "channel_map (--channel-map) with the 4" in refusal(capsys, str(wide), *stream_flags[1:])
     _, out, _ = run(
         capsys, str(wide), *stream_flags[1:], "--channel-map", "3,2,1,0", "--output", "csv"
     )
@@ -94,7 +94,7 @@ def test_wrong_combinations_are_one_sentence(
         (["--array", "respeaker"], "no array preset is called 'respeaker'"),
         (["--url", "ftp://robot"], "is no address"),
         (["--interval-ms", "5"], "output.interval_ms"),
-        (["--exclude", "front"], "--exclude must be FROM:TO"),
+        (["--exclude", "front"], "exclude_deg must list sectors as from:to"),
         (["--exclude", "10:10"], "empty or the whole circle"),
         (["--client", "my robot"], "client"),
         (["--save", "out.txt"], "end its name in .jsonl or .csv"),

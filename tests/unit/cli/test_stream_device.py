@@ -105,7 +105,7 @@ def test_a_device_is_recorded_with_its_own_channels_and_rate(
         "channels": 6,
         "header": "seq_time",
     }
-    assert start["channel_map"] == [1, 2, 3, 4]
+    assert start["array"] == {"name": ARRAY}
     assert start["overflow"] == "drop_oldest"
     assert all(set(message[HEADER.size :]) == {7, 0} for message in heard)
     assert (portaudio.opened["dtype"], portaudio.opened["blocksize"]) == ("int16", 320)

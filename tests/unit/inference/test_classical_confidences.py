@@ -14,8 +14,8 @@ from service.doa.scoring import circular_error
 from service.doa.stft import Stft
 from service.doa.types import FloatArray
 from service.inference.classical import ClassicalLocalizer
-from service.inference.results import Method
 from service.protocol.client_messages import AudioFormat, OutputOptions
+from service.protocol.methods import Method
 from service.streaming.pipeline import StreamPipeline, StreamPlan
 
 RATE = 16_000

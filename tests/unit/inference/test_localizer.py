@@ -12,9 +12,9 @@ from service.doa.types import FloatArray
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, estimate_stretch, localizer_of
 from service.inference.registry import BundleRegistry
-from service.inference.results import METHODS
 from service.inference.weights import LEAST_CONFIDENCE, strongest_blocks, surest
 from service.inference.windows import stretches, windows
+from service.protocol.methods import METHODS
 
 
 @pytest.fixture(scope="module")

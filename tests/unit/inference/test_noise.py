@@ -34,7 +34,7 @@ from service.inference.localizer import Localizer, localizer_of
 from service.inference.noise_profile import MAX_BYTES, load_noise, noise_bytes
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
-from service.inference.results import METHODS
+from service.protocol.methods import METHODS
 
 SQUARE = preset("respeaker-usb-4mic-v2")
 MOTOR = np.deg2rad(200.0)

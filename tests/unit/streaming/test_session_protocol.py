@@ -30,7 +30,8 @@ def stamped(sequence: int, captured_ns: int, audio: bytes) -> bytes:
     [
         ({"array": {"name": "no-such-array"}}, "array_unknown", "no-such-array"),
         ({"array": {"positions_m": [[0, 0, 0], [4, 0, 0]]}}, "geometry_invalid", "centimetres"),
-        ({"array": {"name": None}}, "geometry_invalid", "positions_m"),
+        ({"array": {"name": None}}, "option_invalid", "positions_m"),
+        ({"array": {"name": "a\nb"}}, "option_invalid", "printable"),
         ({"audio": {"channels": 2}}, "channel_mismatch", "2 channels"),
         ({"channel_map": [0, 1, 2, 9]}, "channel_mismatch", "channel 9"),
         ({"channel_map": [0, 1, 2, 2]}, "channel_map_invalid", "twice"),
