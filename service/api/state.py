@@ -61,7 +61,7 @@ class ServiceState:
         metrics = Metrics()
         return cls(
             settings,
-            RecordingWorkers(settings.workers, settings.queue, settings.stall_timeout, metrics),
+            RecordingWorkers(settings.workers, settings.queue, settings.stall_timeout_s, metrics),
             SessionRegistry(settings.max_sessions),
             StreamWorkers(settings.stream_workers, metrics),
             noise=NoiseStore(settings.noise_folder),
