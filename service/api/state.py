@@ -76,10 +76,10 @@ class ServiceState:
         return Gauges(
             sessions=self.streams.running,
             max_sessions=self.streams.max_sessions,
-            uploads=self.recording_workers.admitted,
+            recordings=self.recording_workers.admitted,
             workers={
                 "stream": len(self.stream_workers.pids),
-                "file": len(self.recording_workers.pids),
+                "recording": len(self.recording_workers.pids),
             },
             ready=self.ready,
             models=tuple(bundle.identity for bundle in bundles),
