@@ -97,7 +97,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
         generate_unique_id_function=_operation_id,
     )
     app.state.service = state
-    app.add_middleware(BodyDeadline, seconds=settings.body_timeout)
+    app.add_middleware(BodyDeadline, seconds=settings.body_timeout_s)
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
     app.add_middleware(Guard, settings=settings, keys=state.keys)
     install_problem_handlers(app)

@@ -74,7 +74,7 @@ class Server(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         await self._wait_for_proxies()
-        grace = self._state.settings.drain_grace
+        grace = self._state.settings.drain_grace_s
         lifecycle = self._state.lifecycle
         asyncio.get_running_loop().call_later(grace, lifecycle.enter, Phase.ENDING)
         # uvicorn would cut the sockets before the application hears of it.
@@ -89,7 +89,7 @@ class Server(uvicorn.Server):
         state = self._state
         state.lifecycle.enter(Phase.LEAVING)
         began = time.monotonic()
-        while time.monotonic() - began < state.settings.drain_delay:
+        while time.monotonic() - began < state.settings.drain_delay_s:
             if self.force_exit:  # which uvicorn itself looks at now and then
                 return
             await asyncio.sleep(0.1)
@@ -158,7 +158,7 @@ def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
         log_level=server_log_level(settings),
         access_log=False,
         server_header=False,
-        timeout_graceful_shutdown=math.ceil(settings.drain_grace) + FAREWELL,
+        timeout_graceful_shutdown=math.ceil(settings.drain_grace_s) + FAREWELL,
         http=HttpProtocol,
         ws=StreamProtocol,
         ws_max_size=WS_MAX_SIZE,

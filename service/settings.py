@@ -1,6 +1,8 @@
 """Every setting of the service: its unit, its default, its environment variable.
 
 A flag wins over the environment (``NEURALMUSIC_PORT`` for ``port``), which wins over the default.
+A name ends with its unit where it has one: ``_s``, ``_seconds``, ``_bytes``. What ends with
+``workers`` is a pool of processes, ``processes`` are those that share the work of one recording.
 """
 
 from __future__ import annotations
@@ -27,6 +29,18 @@ KEY_VARIABLE = f"{PREFIX}KEY"
 GRACE = 10.0
 """Seconds that recordings in work get to finish after SIGTERM, by default"""
 
+RENAMED = {
+    "threads": "processes",
+    "stall_timeout": "stall_timeout_s",
+    "body_timeout": "body_timeout_s",
+    "stream_buffer": "stream_buffer_s",
+    "idle_timeout": "idle_timeout_s",
+    "max_session": "max_session_s",
+    "drain_delay": "drain_delay_s",
+    "drain_grace": "drain_grace_s",
+}
+"""Former names of settings; they are refused, and the new name is told"""
+
 LogLevel = Literal["critical", "error", "warning", "info", "debug"]
 LogFormat = Literal["text", "json"]
 
@@ -49,18 +63,18 @@ class Settings(BaseSettings):
     models: Annotated[tuple[Path, ...], NoDecode] = ()
     """Folders of further model bundles, separated as in PATH"""
     default_model: str | None = None
-    """Model of requests that name none, where it fits their array; otherwise the first that fits"""
+    """Model for requests that name none, if it fits their array; otherwise the first that fits"""
     workers: int = Field(default_factory=usable_cpus, ge=1, le=256)
-    """Recordings that are localized at the same time; by default the usable CPUs"""
-    threads: int = Field(default_factory=usable_cpus, ge=1, le=64)
-    """Windows of one recording that are computed at the same time; by default the usable CPUs"""
+    """Processes that localize recordings, one each at a time; by default the usable CPUs"""
+    processes: int = Field(default_factory=usable_cpus, ge=1, le=64)
+    """Processes that compute the windows of one recording; by default the usable CPUs"""
     queue: int = Field(16, ge=0, le=10_000)
-    """Requests that may wait for a worker; further ones get 503"""
-    stall_timeout: float = Field(60.0, ge=1, le=3600)
-    """Seconds without progress after which the worker of a recording is ended"""
+    """Recordings that may wait for a worker; further ones get 503"""
+    stall_timeout_s: float = Field(60.0, ge=1, le=3600)
+    """Seconds without progress after which the worker of a recording is stopped"""
     max_upload_bytes: int = Field(512 * 2**20, ge=1024)
     """Largest request body in bytes"""
-    body_timeout: float = Field(30.0, gt=0, le=86_400)
+    body_timeout_s: float = Field(30.0, gt=0, le=86_400)
     """Seconds that a request's body may fall behind 500 bytes a second, silence included"""
     max_seconds: float = Field(3600.0, gt=0, le=86_400)
     """Longest recording in seconds"""
@@ -71,34 +85,35 @@ class Settings(BaseSettings):
     max_sessions_per_client: int = Field(8, ge=1, le=100_000)
     """Streams of one client name at the same time"""
     stream_workers: int = Field(default_factory=usable_cpus, ge=1, le=256)
-    """Most processes that compute streams, started as streams come; by default the usable CPUs"""
-    stream_buffer: float = Field(0.5, ge=0.05, le=60)
+    """Most processes that compute streams, many each at a time, started as streams come; by default
+    the usable CPUs"""
+    stream_buffer_s: float = Field(0.5, ge=0.05, le=60)
     """Seconds of a stream's audio that may wait; older audio is dropped"""
-    idle_timeout: float = Field(30.0, gt=0, le=86_400)
+    idle_timeout_s: float = Field(30.0, gt=0, le=86_400)
     """Seconds without any message after which a stream ends"""
-    max_session: float = Field(86_400.0, gt=0)
-    """Seconds after which a stream ends"""
+    max_session_s: float = Field(86_400.0, gt=0)
+    """Seconds that a stream lasts at most"""
     origins: Annotated[tuple[str, ...], NoDecode] = ()
     """Origins of web pages that may open streams and post, besides the service's own, by commas; *
     for all"""
     hosts: Annotated[tuple[str, ...], NoDecode] = ()
     """Names by which requests may call the service, by commas; * for all; by default any, but on
-    loopback without keys only localhost and addresses"""
+    loopback without keys only localhost, names without a dot and addresses"""
     keys: Path | None = None
-    """File of the API keys (neuralmusic key new); None lets everybody do everything"""
+    """File of the API keys (neuralmusic key new); without it everybody may do everything"""
     noise_folder: Path | None = None
-    """Folder in which noise profiles outlive the process; None keeps them in memory"""
-    drain_delay: float = Field(0.0, ge=0, le=3600)
+    """Folder in which noise profiles outlive the process; without it they are kept in memory"""
+    drain_delay_s: float = Field(0.0, ge=0, le=3600)
     """Seconds after SIGTERM in which /readyz is 503 but new work is still taken, so that no proxy
     sends it in vain"""
-    drain_grace: float = Field(GRACE, ge=0, le=86_400)
+    drain_grace_s: float = Field(GRACE, ge=0, le=86_400)
     """Seconds that recordings in work then get to finish"""
     log_level: LogLevel = "info"
-    """Least severe messages that are logged"""
+    """Least severe messages that are logged: critical, error, warning, info or debug"""
     log_format: LogFormat = "text"
-    """How they are written: text for people, or one JSON object a line"""
+    """How they are written: text for people, or json, one object a line"""
     traces: str | None = None
-    """OTLP/HTTP endpoint that gets traces, as http://collector:4318; needs the extra otel"""
+    """OTLP/HTTP endpoint that gets traces, such as http://collector:4318; needs the extra otel"""
 
     @field_validator("models", mode="before")
     @classmethod
@@ -141,6 +156,11 @@ def variable(name: str) -> str:
     return PREFIX + name.upper()
 
 
+def flag(name: str) -> str:
+    """The flag of a setting, of ``neuralmusic serve``."""
+    return f"--{name.replace('_', '-')}"
+
+
 def _refuse_unknown(environment: Mapping[str, str]) -> None:
     for name, value in environment.items():
         if not name.upper().startswith(PREFIX):
@@ -160,16 +180,19 @@ def _refuse_unknown(environment: Mapping[str, str]) -> None:
                 )
             continue
         if field not in Settings.model_fields:
-            raise ConfigError(f"unknown variable {name}: {_closest(field, variable)}")
+            raise ConfigError(_unknown("variable", field, variable))
 
 
-def _closest(name: str, spell: Callable[[str], str]) -> str:
-    """A suggestion for a setting that there is not, spelt as a variable or a flag."""
+def _unknown(what: str, name: str, spell: Callable[[str], str]) -> str:
+    """A sentence about a setting that does not exist, spelt as a variable or a flag."""
+    if name in RENAMED:
+        return f"{spell(name)} is now {spell(RENAMED[name])}"
     known = list(Settings.model_fields)
     close = get_close_matches(name, known, n=1)
-    if close:
-        return f"did you mean {spell(close[0])}?"
-    return f"there are {', '.join(map(spell, known))}"
+    hint = (
+        f"did you mean {spell(close[0])}?" if close else f"there are {', '.join(map(spell, known))}"
+    )
+    return f"unknown {what} {spell(name)}: {hint}"
 
 
 _RULES = {
@@ -186,7 +209,7 @@ _RULES = {
 def _sentence(error: ErrorDetails) -> str:
     name = str(error["loc"][0])
     if error["type"] == "extra_forbidden":
-        return f"unknown setting {name}: {_closest(name, str)}"
+        return _unknown("flag", name, flag)
     rule = _RULES.get(error["type"])
     said = (
         rule.format(**error.get("ctx", {})) if rule else error["msg"].removeprefix("Value error, ")

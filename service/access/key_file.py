@@ -54,7 +54,7 @@ class Key(BaseModel):
     max_uploads: int | None = Field(None, ge=0)
     """Uploads at the same time"""
     audio_seconds_per_hour: float | None = Field(None, gt=0, allow_inf_nan=False)
-    """Seconds of audio, in files and streams together"""
+    """Seconds of audio, in recordings and streams together"""
     origins: tuple[str, ...] = ()
     """Web pages that may use this key, besides the service's own and those of the settings"""
     expires: AwareDatetime | None = None

@@ -60,7 +60,7 @@ class ServiceState:
         return cls(
             settings,
             RecordingWorkers(
-                settings.workers, settings.queue, settings.stall_timeout, metrics, lifecycle
+                settings.workers, settings.queue, settings.stall_timeout_s, metrics, lifecycle
             ),
             SessionRegistry(settings.max_sessions),
             StreamWorkers(settings.stream_workers, metrics),
@@ -77,10 +77,10 @@ class ServiceState:
         return Gauges(
             sessions=self.streams.running,
             max_sessions=self.streams.max_sessions,
-            uploads=self.recording_workers.admitted,
+            recordings=self.recording_workers.admitted,
             workers={
                 "stream": len(self.stream_workers.pids),
-                "file": len(self.recording_workers.pids),
+                "recording": len(self.recording_workers.pids),
             },
             ready=self.ready,
             models=tuple(bundle.identity for bundle in bundles),

@@ -102,7 +102,9 @@ class Connection:
             ident,
             reporter,
             state.noise,
-            SessionLimits(settings.stream_buffer, settings.idle_timeout, settings.max_session),
+            SessionLimits(
+                settings.stream_buffer_s, settings.idle_timeout_s, settings.max_session_s
+            ),
             self._loop.time(),
         )
         self._entry = self._streams.add(self.session, reporter, self.pump)

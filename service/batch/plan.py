@@ -53,7 +53,7 @@ class Plan:
             RecordingJob(asked, limits),
             dict(given),
             # As many recordings at a time as there are CPUs: each has one.
-            Setup(settings.model_copy(update={"threads": 1}), registry.files),
+            Setup(settings.model_copy(update={"processes": 1}), registry.files),
             method,
             bundle.identity if bundle else None,
         )

@@ -68,7 +68,7 @@ class BatchWorker:
 
     def _start(self) -> RecordingWorker:
         setup = self._plan.setup
-        worker = RecordingWorker(setup, setup.settings.stall_timeout)
+        worker = RecordingWorker(setup, setup.settings.stall_timeout_s)
         worker.wait_ready()
         if self._ended:
             worker.end()

@@ -48,7 +48,7 @@ def _configure_new(parser: argparse.ArgumentParser) -> None:
     add("--file", type=Path, metavar="FILE", help="add the line to this file, made where missing")
     add("--max-sessions", type=int, metavar="N", help="streams at the same time")
     add("--max-uploads", type=int, metavar="N", help="uploads at the same time")
-    add("--audio-seconds-per-hour", type=float, metavar="S", help="of files and streams together")
+    add("--audio-seconds-per-hour", type=float, metavar="S", help="recordings and streams together")
     add(
         "--origins",
         metavar="URL,...",

@@ -69,7 +69,7 @@ def _localize(args: argparse.Namespace, options: LocalizeOptions) -> RecordingRe
         registry = load_registry(settings)
         with _progress(recording.duration) as progress:
             return localize_recording(
-                recording, options, registry, progress, processes=settings.threads
+                recording, options, registry, progress, processes=settings.processes
             )
 
 

@@ -6,31 +6,35 @@ import argparse
 
 NAME = "serve"
 SUMMARY = "run the HTTP service"
+VALUE: dict[object, str] = {int: "N", float: "SECONDS"}
+"""What a flag takes, by the type of its setting"""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Flags from the settings' fields; their texts are the fields' docstrings."""
-    from service.settings import Settings, variable
+    from service.settings import RENAMED, Settings, flag, variable
 
     for name, field in Settings.model_fields.items():
-        described = (field.description or "").rstrip(".")
-        default = field.default if field.default_factory is None else None
+        default = None if field.default_factory else field.default
+        default = f"{default:g}" if isinstance(default, float) else default
         shown = f" (default: {default})" if default not in (None, ()) else ""
         parser.add_argument(
-            f"--{name.replace('_', '-')}",
-            dest=name,
-            metavar=name.rpartition("_")[2].upper(),
-            help=f"{described}{shown}; {variable(name)}".replace("%", "%%"),
+            flag(name),
+            metavar=VALUE.get(field.annotation, name.rpartition("_")[2].upper()),
+            help=f"{field.description}{shown}; {variable(name)}".replace("%", "%%"),
         )
+    for name in RENAMED:
+        parser.add_argument(flag(name), help=argparse.SUPPRESS)
 
 
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted."""
     from service import __version__
     from service.server import serve
-    from service.settings import Settings, load_settings
+    from service.settings import RENAMED, Settings, load_settings
 
     # Values stay text: the settings check them as they check the environment.
-    settings = load_settings(**{name: getattr(args, name) for name in Settings.model_fields})
+    names = (*Settings.model_fields, *RENAMED)
+    settings = load_settings(**{name: getattr(args, name) for name in names})
     serve(settings, lambda url: print(f"neuralmusic {__version__} serves on {url}", flush=True))
     return 0

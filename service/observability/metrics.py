@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 from prometheus_client import (
     CollectorRegistry,
@@ -23,8 +23,8 @@ from prometheus_client.registry import Collector
 from service.errors import DoaError
 from service.inference.results import ModelIdentity
 
-Kind = Literal["stream", "file"]
-KINDS: tuple[Kind, ...] = ("stream", "file")
+Kind = Literal["stream", "recording"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 PREFIX = "neuralmusic"
 OTHER = "other"
@@ -54,7 +54,7 @@ class Gauges:
     """Streams that run"""
     max_sessions: int = 0
     """Streams that may run"""
-    uploads: int = 0
+    recordings: int = 0
     """Recordings in work or waiting"""
     workers: Mapping[Kind, int] = field(default_factory=dict)
     """Running processes"""
@@ -88,11 +88,9 @@ class Metrics:
             "Seconds of streams' audio dropped to stay with the present.",
         )
         inference = histogram(
-            "inference_seconds", "Time that a worker computed one work.", WORK_S, "kind"
+            "inference_seconds", "Time that a worker spent on one job.", WORK_S, "kind"
         )
-        queue = histogram(
-            "queue_seconds", "Time that a work waited for its worker.", WORK_S, "kind"
-        )
+        queue = histogram("queue_seconds", "Time that a job waited for its worker.", WORK_S, "kind")
         self._latency = histogram(
             "result_latency_seconds",
             "From the arrival of a result's last audio to the result on its way to the socket.",
@@ -180,7 +178,7 @@ class Metrics:
             self._request_time.labels(path).observe(seconds)
 
     def worked(self, kind: Kind, queued_s: float, worked_s: float) -> None:
-        """Count one work that a worker did: how long it waited and how long it took."""
+        """Count one job that a worker did: how long it waited and how long it took."""
         self._queue[kind].observe(queued_s)
         self._inference[kind].observe(worked_s)
 
@@ -212,7 +210,7 @@ class _StateCollector(Collector):
         now = self._metrics.gauges()
         yield _gauge("sessions", "Streams that run.", now.sessions)
         yield _gauge("max_sessions", "Streams that may run at the same time.", now.max_sessions)
-        yield _gauge("uploads", "Recordings in work or waiting.", now.uploads)
+        yield _gauge("uploads", "Recordings in work or waiting.", now.recordings)
         yield _gauge("ready", "1 where the service takes requests, else 0.", now.ready)
         workers = GaugeMetricFamily(f"{PREFIX}_workers", "Processes that compute.", labels=["kind"])
         for kind in KINDS:

@@ -85,7 +85,7 @@ def serve(link: Link, settings: Settings, registry: BundleRegistry) -> None:
     keep_freed_memory()
     warm_up(registry)
     link.send(READY)
-    work_until_end(link, registry, settings.threads)
+    work_until_end(link, registry, settings.processes)
 
 
 if __name__ == "__main__":

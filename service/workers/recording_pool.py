@@ -210,8 +210,8 @@ class RecordingWorkers:
 
     def _count(self, localized: Localized, audio_s: float, seconds: float) -> None:
         """Count a recording that was answered after so many seconds."""
-        self._metrics.worked("file", max(seconds - localized.seconds, 0.0), localized.seconds)
-        self._metrics.audio("file", audio_s)
+        self._metrics.worked("recording", max(seconds - localized.seconds, 0.0), localized.seconds)
+        self._metrics.audio("recording", audio_s)
         for windows, times in localized.stretches.items():
             for _ in range(times):
                 self._metrics.batch(windows)
@@ -226,7 +226,7 @@ class RecordingWorkers:
             with self._lock:
                 self._busy.discard(worker)
             self._lifecycle.check(Phase.ENDING)
-            self._metrics.worker_lost("file")
+            self._metrics.worker_lost("recording")
             raise
         except BaseException:
             self._give_back(worker)
@@ -249,7 +249,7 @@ class RecordingWorkers:
         except BaseException:
             with self._lock:
                 self._busy.discard(worker)
-            self._metrics.worker_lost("file")
+            self._metrics.worker_lost("recording")
             raise
         return worker
 

@@ -28,7 +28,7 @@ REFUSED = BODY.replace(b"audio/wav", b"text/plain")
 def service() -> Iterator[RunningService]:
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(connections, "HEAD_TIMEOUT_S", SHORT)
-        running = RunningService(settings=Settings(workers=1, body_timeout=SHORT))
+        running = RunningService(settings=Settings(workers=1, body_timeout_s=SHORT))
         yield running
         running.stop()
 

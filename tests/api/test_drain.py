@@ -49,7 +49,7 @@ def until_closed(stream: ClientConnection) -> Iterator[str | bytes]:
 
 
 def test_what_comes_during_the_delay_is_served_and_then_told_that_it_ends() -> None:
-    running = RunningService(settings=Settings(workers=1, drain_delay=3600))
+    running = RunningService(settings=Settings(workers=1, drain_delay_s=3600))
     running.begin_stop()
     assert wait_until_unready(running.url)["code"] == "draining"
 

@@ -164,7 +164,7 @@ def helpers(pid: int) -> list[int]:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="workers fork helpers on Linux only")
 def test_a_helper_that_dies_takes_one_recording_with_it(service: Any) -> None:
-    running = service(threads=2)
+    running = service(processes=2)
     assert running.post().status_code == 200
     worker = running.pid
     long = running.executor.submit(running.post, silence(1800).getvalue())
@@ -187,14 +187,14 @@ def test_a_long_recording_is_the_same_from_one_process_and_from_three(service: A
         rng.normal(0, 0.1, (45 * 16_000, 4)) * (np.sin(np.arange(45 * 16_000) / 9e3) > 0)[:, None]
     )
     soundfile.write(file, noise, 16_000, format="WAV", subtype="PCM_16")
-    alone, shared = (service(threads=n).post(file.getvalue()).json() for n in (1, 3))
+    alone, shared = (service(processes=n).post(file.getvalue()).json() for n in (1, 3))
     assert len(alone["windows"]) == 87
     assert shared["windows"] == alone["windows"]
     assert shared["summary"] == alone["summary"]
 
 
 def test_a_worker_that_stalls_is_replaced(service: Any) -> None:
-    running = service(stall_timeout=1)
+    running = service(stall_timeout_s=1)
     with running.busy() as first:
         stalled = running.pid
         response = first.result(PATIENCE)

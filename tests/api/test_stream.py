@@ -27,7 +27,7 @@ from service.settings import Settings
 
 @pytest.fixture(scope="module")
 def service() -> Iterator[RunningService]:
-    running = RunningService(settings=Settings(workers=1, max_sessions=8, idle_timeout=20))
+    running = RunningService(settings=Settings(workers=1, max_sessions=8, idle_timeout_s=20))
     yield running
     running.stop()
 

@@ -118,7 +118,7 @@ def test_every_metric_of_the_document_is_there_from_the_start_and_no_other(used:
 def test_seconds_of_audio_are_those_that_were_sent(used: Any) -> None:
     after = used[1]
     assert after['neuralmusic_audio_seconds_total{"kind": "stream"}'] == pytest.approx(SECONDS)
-    assert after['neuralmusic_audio_seconds_total{"kind": "file"}'] == pytest.approx(1.5)
+    assert after['neuralmusic_audio_seconds_total{"kind": "recording"}'] == pytest.approx(1.5)
     assert after["neuralmusic_audio_dropped_seconds_total"] == 0
 
 
@@ -138,8 +138,8 @@ def test_work_is_timed_by_its_kind(used: Any) -> None:
     for name in ("queue", "inference"):
         steps = after[f'neuralmusic_{name}_seconds_count{{"kind": "stream"}}']
         assert steps >= answered.count("result")
-        assert after[f'neuralmusic_{name}_seconds_count{{"kind": "file"}}'] >= 1
-    assert after['neuralmusic_inference_seconds_sum{"kind": "file"}'] > 0
+        assert after[f'neuralmusic_{name}_seconds_count{{"kind": "recording"}}'] >= 1
+    assert after['neuralmusic_inference_seconds_sum{"kind": "recording"}'] > 0
     # 1.5 s in hops of half the window, in batches
     assert after["neuralmusic_batch_windows_sum"] >= 2
 

@@ -304,7 +304,7 @@ def subject(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Subject]:
     )
     keys.chmod(0o600)
     service = RunningService(settings=Settings(workers=1, queue=0, max_upload_bytes=LIMIT))
-    other = RunningService(settings=Settings(workers=1, keys=keys, body_timeout=BODY_TIMEOUT_S))
+    other = RunningService(settings=Settings(workers=1, keys=keys, body_timeout_s=BODY_TIMEOUT_S))
     with (
         httpx2.Client(base_url=service.url, timeout=PATIENCE_S) as client,
         httpx2.Client(base_url=other.url, timeout=PATIENCE_S) as keyed,

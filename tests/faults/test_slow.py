@@ -82,7 +82,7 @@ def test_slow_clients(figures: Callable[..., None], kind: str) -> None:
             return robots, began, [before, service.footprint(), answer, answered_s, kept]
 
     with Served(
-        "--body-timeout",
+        "--body-timeout-s",
         str(BODY_TIMEOUT_S),
         "--max-sessions",
         "256",

@@ -76,9 +76,9 @@ class RunningService:
         self._server.should_exit = True
 
     def end_delay(self) -> None:
-        """As if the setting ``drain_delay`` had passed."""
+        """As if the setting ``drain_delay_s`` had passed."""
         state = self._app.state.service
-        state.settings = state.settings.model_copy(update={"drain_delay": 0.0})
+        state.settings = state.settings.model_copy(update={"drain_delay_s": 0.0})
 
     def stop(self) -> None:
         self.begin_stop()

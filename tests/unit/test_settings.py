@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 
 from service.access.key_file import new_token
+from service.cli import main
 from service.errors import ConfigError
 from service.machine.cpus import usable_cpus
-from service.settings import Settings, load_settings, variable
+from service.settings import RENAMED, Settings, load_settings, variable
 
 
 @pytest.fixture(autouse=True)
@@ -78,7 +79,7 @@ def test_a_wrong_variable_is_refused_with_a_sentence(
     [
         ({"port": -1}, "port must be at least 0, but is -1 (flag or NEURALMUSIC_PORT)"),
         ({"traces": "collector:4317"}, "traces must be an address as http://collector:4318"),
-        ({"prot": 1}, "unknown setting prot: did you mean port?"),
+        ({"prot": 1}, "unknown flag --prot: did you mean --port?"),
         ({"port": -1, "queue": -1}, "; queue must be at least 0"),
     ],
 )
@@ -88,19 +89,57 @@ def test_a_wrong_flag_is_refused_with_a_sentence(flags: dict[str, Any], sentence
     assert sentence in caught.value.detail
 
 
+RENAMINGS = [
+    ("NEURALMUSIC_THREADS", "NEURALMUSIC_PROCESSES"),
+    ("NEURALMUSIC_STALL_TIMEOUT", "NEURALMUSIC_STALL_TIMEOUT_S"),
+    ("NEURALMUSIC_BODY_TIMEOUT", "NEURALMUSIC_BODY_TIMEOUT_S"),
+    ("NEURALMUSIC_STREAM_BUFFER", "NEURALMUSIC_STREAM_BUFFER_S"),
+    ("NEURALMUSIC_IDLE_TIMEOUT", "NEURALMUSIC_IDLE_TIMEOUT_S"),
+    ("NEURALMUSIC_MAX_SESSION", "NEURALMUSIC_MAX_SESSION_S"),
+    ("NEURALMUSIC_DRAIN_DELAY", "NEURALMUSIC_DRAIN_DELAY_S"),
+    ("NEURALMUSIC_DRAIN_GRACE", "NEURALMUSIC_DRAIN_GRACE_S"),
+]
+
+
+@pytest.mark.parametrize(("old", "new"), RENAMINGS)
+def test_a_setting_under_its_old_name_is_refused_with_the_new_one(
+    old: str, new: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flags = [
+        f"--{name.removeprefix('NEURALMUSIC_').lower().replace('_', '-')}" for name in (old, new)
+    ]
+    assert main(["serve", flags[0], "5"]) == 2
+    assert capsys.readouterr().err == f"error: {flags[0]} is now {flags[1]}\n"
+    monkeypatch.setenv(old, "5")
+    with pytest.raises(ConfigError) as caught:
+        load_settings()
+    assert caught.value.detail == f"{old} is now {new}"
+
+
+def test_all_old_names_are_tried_and_lead_to_settings() -> None:
+    assert {(variable(old), variable(new)) for old, new in RENAMED.items()} == set(RENAMINGS)
+    assert set(RENAMED.values()) <= Settings.model_fields.keys()
+
+
+def test_times_have_their_unit_in_their_names() -> None:
+    times = [name for name, field in Settings.model_fields.items() if field.annotation is float]
+    assert [name for name in times if not name.endswith(("_s", "_seconds"))] == []
+    assert "drain_delay_s" in times
+
+
 def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     examples = {"host": "::1", "models": "/m", "default_model": "w", "log_level": "debug"}
     examples |= {"log_format": "json", "traces": "http://collector:4318"}
     examples |= {"hosts": "robot.local, doa.example", "keys": "/k"}
-    examples |= {"noise_folder": "/n", "stream_buffer": "2.5", "origins": "http://a,http://b"}
+    examples |= {"noise_folder": "/n", "stream_buffer_s": "2.5", "origins": "http://a,http://b"}
     for name, field in Settings.model_fields.items():
         assert field.description, name
         monkeypatch.setenv(variable(name), examples.get(name, "2048"))
     monkeypatch.setenv("NEURALMUSIC_WORKERS", "7")
     monkeypatch.setenv("NEURALMUSIC_STREAM_WORKERS", "5")
-    monkeypatch.setenv("NEURALMUSIC_THREADS", "3")
+    monkeypatch.setenv("NEURALMUSIC_PROCESSES", "3")
     monkeypatch.setenv("NEURALMUSIC_MAX_CHANNELS", "9")
     assert load_settings().model_dump() == {
         "host": "::1",
@@ -108,25 +147,25 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
         "models": (Path("/m"),),
         "default_model": "w",
         "workers": 7,
-        "threads": 3,
+        "processes": 3,
         "queue": 2048,
-        "stall_timeout": 2048.0,
+        "stall_timeout_s": 2048.0,
         "max_upload_bytes": 2048,
-        "body_timeout": 2048.0,
+        "body_timeout_s": 2048.0,
         "max_seconds": 2048.0,
         "max_channels": 9,
         "max_sessions": 2048,
         "max_sessions_per_client": 2048,
         "stream_workers": 5,
-        "stream_buffer": 2.5,
-        "idle_timeout": 2048.0,
-        "max_session": 2048.0,
+        "stream_buffer_s": 2.5,
+        "idle_timeout_s": 2048.0,
+        "max_session_s": 2048.0,
         "origins": ("http://a", "http://b"),
         "hosts": ("robot.local", "doa.example"),
         "keys": Path("/k"),
         "noise_folder": Path("/n"),
-        "drain_delay": 2048.0,
-        "drain_grace": 2048.0,
+        "drain_delay_s": 2048.0,
+        "drain_grace_s": 2048.0,
         "log_level": "debug",
         "log_format": "json",
         "traces": "http://collector:4318",

@@ -62,5 +62,5 @@ class BodyDeadline:
     def _too_slow(self) -> RequestTimeout:
         return RequestTimeout(
             f"the body fell {self.seconds:g} s behind {BYTES_PER_S} bytes a second: send it again "
-            "over a better connection, send FLAC, or raise NEURALMUSIC_BODY_TIMEOUT"
+            "over a better connection, send FLAC, or raise NEURALMUSIC_BODY_TIMEOUT_S"
         )

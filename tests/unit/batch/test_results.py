@@ -82,7 +82,7 @@ def test_what_is_written_is_left_out(out: Path, plan: Plan, finish: bool) -> Non
 
 def test_every_recording_has_one_cpu(plan: Plan) -> None:
     """As many go on at a time as there are: each with helpers of its own would be their square."""
-    assert plan.setup.settings.threads == 1
+    assert plan.setup.settings.processes == 1
 
 
 def test_a_file_that_changed_has_one_record_again(out: Path, plan: Plan) -> None:

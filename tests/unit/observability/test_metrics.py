@@ -74,10 +74,10 @@ def test_work_is_counted_by_its_kind() -> None:
     metrics = Metrics()
     metrics.worked("stream", 0.001, 0.004)
     metrics.worked("stream", 0.002, 0.004)
-    metrics.worked("file", 3.0, 20.0)
+    metrics.worked("recording", 3.0, 20.0)
     assert value(metrics, "queue_seconds_sum", kind="stream") == pytest.approx(0.003)
     assert value(metrics, "inference_seconds_count", kind="stream") == 2
-    assert value(metrics, "inference_seconds_sum", kind="file") == 20.0
+    assert value(metrics, "inference_seconds_sum", kind="recording") == 20.0
 
 
 def test_what_clients_make_up_becomes_no_time_series() -> None:
@@ -106,11 +106,11 @@ def test_gauges_are_read_when_they_are_asked_for() -> None:
     metrics.read_from(lambda: now)
     assert value(metrics, "ready") == 0
     model = ModelIdentity("one", "1.0", "weights", "0" * 64)
-    now = Gauges(3, 64, 2, {"stream": 1, "file": 2}, True, (model,))
+    now = Gauges(3, 64, 2, {"stream": 1, "recording": 2}, True, (model,))
     assert value(metrics, "sessions") == 3
     assert value(metrics, "max_sessions") == 64
     assert value(metrics, "uploads") == 2
-    assert value(metrics, "workers", kind="file") == 2
+    assert value(metrics, "workers", kind="recording") == 2
     assert value(metrics, "ready") == 1
     labels = {"name": "one", "version": "1.0", "variant": "weights", "sha256": "0" * 64}
     assert value(metrics, "model_info", **labels) == 1
@@ -118,11 +118,11 @@ def test_gauges_are_read_when_they_are_asked_for() -> None:
 
 def test_lost_workers_and_reloads_are_counted() -> None:
     metrics = Metrics()
-    metrics.worker_lost("file")
+    metrics.worker_lost("recording")
     metrics.reloaded(ok=True)
     metrics.reloaded(ok=False)
     metrics.batch(4)
-    assert value(metrics, "workers_lost_total", kind="file") == 1
+    assert value(metrics, "workers_lost_total", kind="recording") == 1
     assert value(metrics, "workers_lost_total", kind="stream") == 0
     assert value(metrics, "reloads_total", outcome="ok") == 1
     assert value(metrics, "reloads_total", outcome="refused") == 1
