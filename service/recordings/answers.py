@@ -91,15 +91,15 @@ class WindowAnswer(Answer):
     """Spatial spectrum at 0, 1, ... 359 degrees, at most 1; only on request"""
 
     @classmethod
-    def of(cls, window: WindowResult, *, spectrum: bool) -> Self:
+    def of(cls, window: WindowResult) -> Self:
         sources = [SourceAnswer.of(source) for source in window.estimate.sources]
-        values = window.estimate.spectrum
+        spectrum = [round(float(value), 4) for value in window.estimate.spectrum]
         return cls(
             t_start=round(window.t_start, 6),
             t_end=round(window.t_end, 6),
             num_sources=len(sources),
             sources=sources,
-            **({"spectrum": [round(float(value), 4) for value in values]} if spectrum else {}),
+            **({"spectrum": spectrum} if spectrum else {}),
         )
 
 
