@@ -58,7 +58,7 @@ class SourceAnswer(Answer):
     azimuth_deg: float
     """Degrees in [0, 360), counter-clockwise from the array's +x"""
     confidence: float
-    """0 to 1: about the chance that a source is within 10 degrees"""
+    """0 to 1: the chance that a source is within 10 degrees of there"""
     id: int | None
     """The same for one source in all windows; null before it was tracked"""
     elevation_deg: None = None
@@ -109,7 +109,7 @@ class SummarySourceAnswer(Answer):
     azimuth_deg: float
     """Degrees in [0, 360), counter-clockwise from the array's +x"""
     confidence: float
-    """Mean confidence of its windows, 0 to 1"""
+    """0 to 1: mean over its windows of the chance that a source is within 10 degrees of there"""
     share: float
     """Share of the windows with any source in which this one is heard, 0 to 1"""
 
