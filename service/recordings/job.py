@@ -16,9 +16,9 @@ from service.recordings.options import LocalizeRequest
 from service.recordings.results import LocalizeOptions
 
 MAX_WINDOWS = 50_000
-"""Of one answer"""
+"""Most windows in one answer"""
 MAX_SPECTRUM_WINDOWS = 10_000
-"""Of one answer with spectra, which has 360 numbers for every window"""
+"""Most windows in one answer with spectra: 360 numbers for every window"""
 
 
 @dataclass(frozen=True, slots=True)
