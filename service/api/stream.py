@@ -82,8 +82,6 @@ class Connection:
         self._websocket = websocket
         self._keys = state.keys
         self._key = key
-        self._charged_s = 0.0
-        """Seconds of audio that were counted for the key"""
         self._loop = asyncio.get_running_loop()
         self._stream_workers = state.stream_workers
         self._worker = state.stream_workers.assign()
@@ -180,19 +178,19 @@ class Connection:
             now = self._loop.time()
             data, text = received.get("bytes"), received.get("text")
             if data is not None:
+                account = self._reporter.account
+                audio_s, dropped_s = account.audio_s, account.dropped_s
                 self.session.receive_bytes(data, now)
-                self._watch.heard()
-                self._charge()
+                self._heard(account.audio_s - audio_s, account.dropped_s - dropped_s)
             elif text is not None:
                 self.session.receive_text(text, now)
                 self._check_client()
             self.pump()
 
-    def _charge(self) -> None:
-        """Count the audio that came for the key, and end the session where it is used up."""
-        audio_s = self._reporter.account.audio_s
-        self._keys.charge(self._key, audio_s - self._charged_s)
-        self._charged_s = audio_s
+    def _heard(self, audio_s: float, dropped_s: float) -> None:
+        """Count the audio of a message, and end the session where the key's is used up."""
+        self._watch.heard(audio_s, dropped_s)
+        self._keys.charge(self._key, audio_s)
         try:
             self._keys.check_audio(self._key)
         except AudioQuota as error:

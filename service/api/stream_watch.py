@@ -36,24 +36,15 @@ class StreamWatch:
         self._metrics = metrics
         self._account = account
         self._time = time
-        self._audio_s = 0.0
-        """That were counted"""
-        self._dropped_s = 0.0
-        """That were counted"""
         self._context = copy_context()
         """With the ids of the request, the stream and the span: what a worker says comes without"""
         self._reason = "vanished"
         self._detail: str | None = None
 
-    def heard(self) -> None:
-        """Count the audio of a message that was taken in."""
-        account = self._account
-        if account.audio_s > self._audio_s:
-            self._metrics.audio("stream", account.audio_s - self._audio_s)
-            self._audio_s = account.audio_s
-        if account.dropped_s > self._dropped_s:
-            self._metrics.audio_dropped(account.dropped_s - self._dropped_s)
-            self._dropped_s = account.dropped_s
+    def heard(self, audio_s: float, dropped_s: float) -> None:
+        """Count the seconds of audio that a message brought, and of those that were dropped."""
+        self._metrics.audio("stream", audio_s)
+        self._metrics.audio_dropped(dropped_s)
 
     def said(self, message: ServerMessage, client: str | None) -> float | None:
         """Take note of a message to the client; the arrival of a result's last audio, or None."""

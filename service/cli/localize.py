@@ -40,8 +40,8 @@ def run(args: argparse.Namespace) -> int:
         from service.cli.plot import check_drawable
 
         check_drawable(args.plot)  # before the work, not after it
-    spectra = asked.spectrum or bool(args.plot)
-    result = _localize(args, replace(asked.options, spectra=spectra))
+    options = asked.options
+    result = _localize(args, replace(options, spectrum=options.spectrum or bool(args.plot)))
     if args.plot:
         from service.cli.plot import save_figure
 
@@ -49,12 +49,23 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         from service.recordings.answer_json import localization_json
 
-        print(localization_json(result, spectrum=asked.spectrum).decode())
+        shown = result if options.spectrum else _without_spectra(result)
+        print(localization_json(shown).decode())
     else:
         from service.cli.directions import print_result
 
         print_result(result)
     return 0
+
+
+def _without_spectra(result: RecordingResult) -> RecordingResult:
+    """The result as it is where only the picture needed the spectra."""
+    from service.recordings.packed_windows import PackedWindows
+
+    windows = PackedWindows(spectrum=False)
+    for window in result.windows:
+        windows.append(window)
+    return replace(result, windows=windows)
 
 
 def _localize(args: argparse.Namespace, options: LocalizeOptions) -> RecordingResult:

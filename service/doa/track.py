@@ -29,7 +29,7 @@ class Detection:
     azimuth: float
     """Radians, any wrap"""
     confidence: float
-    """Between 0 and 1: about the chance that a source is within 10 degrees"""
+    """0 to 1: the chance that a source is within 10 degrees of there"""
 
 
 class Track(NamedTuple):
@@ -44,7 +44,7 @@ class Track(NamedTuple):
     variance: float
     """Of the azimuth, radians squared"""
     confidence: float
-    """Probability that the track is a talker, between 0 and 1"""
+    """0 to 1: the chance that a source is within 10 degrees of there"""
     active: bool
     """Heard just now; False while the track coasts through a pause"""
     born: float

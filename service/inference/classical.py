@@ -47,7 +47,7 @@ class Curve(NamedTuple):
     middle: float
 
     def at(self, contrast: float) -> float:
-        """The chance that a peak of this contrast is within 10 degrees of a source."""
+        """The chance that a source is within 10 degrees of a peak of this contrast."""
         return 1 / (1 + math.exp(-self.slope * (contrast - self.middle)))
 
 

@@ -16,7 +16,7 @@ class Source:
     azimuth: float
     """Radians in [0, 2 pi)"""
     confidence: float
-    """Between 0 and 1: about the chance that a source is within 10 degrees"""
+    """0 to 1: the chance that a source is within 10 degrees of there"""
     id: int | None = None
     """Of the track that it belongs to; None before there is one"""
 

@@ -130,7 +130,7 @@ class StreamSource(Part):
     unit_vector: list[float]
     """`[x, y, z]` towards the source in the robot's frame, z = 0"""
     confidence: float
-    """0 to 1: the chance that there is a source"""
+    """0 to 1: the chance that a source is within 10 degrees of there"""
     active: bool
     """False while the source pauses and its track coasts"""
     velocity_deg_s: float

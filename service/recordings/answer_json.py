@@ -8,7 +8,7 @@ from service.recordings.answers import LocalizationAnswer, WindowAnswer
 from service.recordings.results import RecordingResult
 
 
-def localization_json(result: RecordingResult, *, spectrum: bool = False) -> bytes:
+def localization_json(result: RecordingResult) -> bytes:
     """A ``LocalizationAnswer`` in UTF-8, without ever having models of all its windows.
 
     A spectrum nobody asked for is absent, not null.
@@ -19,7 +19,7 @@ def localization_json(result: RecordingResult, *, spectrum: bool = False) -> byt
     body = BytesIO()
     body.write(f'{before}"windows":['.encode())
     for index, window in enumerate(result.windows):
-        answer = WindowAnswer.of(window, spectrum=spectrum)
+        answer = WindowAnswer.of(window)
         body.write(b"," * bool(index) + answer.model_dump_json(exclude_unset=True).encode())
     body.write(f"]{after}".encode())
     return body.getvalue()

@@ -58,7 +58,7 @@ class SourceAnswer(Answer):
     azimuth_deg: float
     """Degrees in [0, 360), counter-clockwise from the array's +x"""
     confidence: float
-    """0 to 1: about the chance that a source is within 10 degrees"""
+    """0 to 1: the chance that a source is within 10 degrees of there"""
     id: int | None
     """The same for one source in all windows; null before it was tracked"""
     elevation_deg: None = None
@@ -91,15 +91,15 @@ class WindowAnswer(Answer):
     """Spatial spectrum at 0, 1, ... 359 degrees, at most 1; only on request"""
 
     @classmethod
-    def of(cls, window: WindowResult, *, spectrum: bool) -> Self:
+    def of(cls, window: WindowResult) -> Self:
         sources = [SourceAnswer.of(source) for source in window.estimate.sources]
-        values = window.estimate.spectrum
+        spectrum = [round(float(value), 4) for value in window.estimate.spectrum]
         return cls(
             t_start=round(window.t_start, 6),
             t_end=round(window.t_end, 6),
             num_sources=len(sources),
             sources=sources,
-            **({"spectrum": [round(float(value), 4) for value in values]} if spectrum else {}),
+            **({"spectrum": spectrum} if spectrum else {}),
         )
 
 
@@ -109,7 +109,7 @@ class SummarySourceAnswer(Answer):
     azimuth_deg: float
     """Degrees in [0, 360), counter-clockwise from the array's +x"""
     confidence: float
-    """Mean confidence of its windows, 0 to 1"""
+    """0 to 1: mean over its windows of the chance that a source is within 10 degrees of there"""
     share: float
     """Share of the windows with any source in which this one is heard, 0 to 1"""
 

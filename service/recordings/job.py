@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import BinaryIO
 
 from service.audio.recording import AudioLimits, Recording
@@ -13,11 +13,12 @@ from service.inference.registry import BundleRegistry
 from service.recordings.answer_json import localization_json
 from service.recordings.localize import localize_recording
 from service.recordings.options import LocalizeRequest
+from service.recordings.results import LocalizeOptions
 
 MAX_WINDOWS = 50_000
-"""Of one answer"""
+"""Most windows in one answer"""
 MAX_SPECTRUM_WINDOWS = 10_000
-"""Of one answer with spectra, which has 360 numbers for every window"""
+"""Most windows in one answer with spectra: 360 numbers for every window"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,26 +86,26 @@ def localize_file(
     WorkerLost
         If one of the processes was killed.
     """
-    asked = job.asked
+    options = job.asked.options
     with Recording.open(file, job.limits) as recording:
-        _check_windows(recording.duration, asked)
+        _check_windows(recording.duration, options)
         report(HeaderRead(recording.duration))
         result = localize_recording(
             recording,
-            replace(asked.options, spectra=asked.spectrum),
+            options,
             registry,
             lambda share: report(Progress(share)),
             processes=processes,
         )
-    return localization_json(result, spectrum=asked.spectrum), result.stretches
+    return localization_json(result), result.stretches
 
 
-def _check_windows(duration: float, asked: LocalizeRequest) -> None:
-    hop = asked.options.hop_s
+def _check_windows(duration: float, options: LocalizeOptions) -> None:
+    hop = options.hop_s
     count = int(duration / hop) + 1
-    most = MAX_SPECTRUM_WINDOWS if asked.spectrum else MAX_WINDOWS
+    most = MAX_SPECTRUM_WINDOWS if options.spectrum else MAX_WINDOWS
     if count > most:
-        spectra = " with spectra" if asked.spectrum else ""
+        spectra = " with spectra" if options.spectrum else ""
         least = math.ceil(1000 * duration / (most - 1)) / 1000
         raise InvalidOption(
             f"{duration:.0f} s at hop_s={hop:g} are {count} windows, one answer has at most "

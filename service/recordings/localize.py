@@ -81,7 +81,7 @@ def localize_recording(
     most = min(STRETCH_WINDOWS, max(1, STRETCH_SAMPLES // of_window))
     joined = _counted(stretches(cut, most), sizes)
     estimated = in_order(partial(_estimate, localizer, options), joined, processes)
-    results = PackedWindows(options.orientation, spectra=options.spectra)
+    results = PackedWindows(options.orientation, spectrum=options.spectrum)
     for window in identified(_placed(estimated, options, recording.duration, progress)):
         results.append(window)
     if progress:

@@ -42,7 +42,6 @@ class LocalizeRequest:
     """Everything that a request asks for beside its recording."""
 
     options: LocalizeOptions
-    spectrum: bool = False
     noise: str | None = None
     """Name of the stored profile of the robot's own noise"""
 
@@ -200,13 +199,12 @@ def read_options(pairs: Iterable[tuple[str, str]]) -> LocalizeRequest:
             "array is missing: name the microphone array, one of "
             f"{', '.join(PRESETS)}, or send its geometry as JSON with positions_m"
         )
-    spectrum = values.pop("spectrum", False)
     noise = values.pop("noise", None)
     values["orientation"] = Orientation.of_degrees(
         values.pop("yaw_deg", 0.0), values.pop("exclude_deg", ())
     )
     _check(values)
-    return LocalizeRequest(LocalizeOptions(**values), spectrum, noise)
+    return LocalizeRequest(LocalizeOptions(**values), noise)
 
 
 def read_option(name: str, text: str) -> Any:

@@ -27,14 +27,14 @@ class PackedWindows(Sequence[WindowResult]):
     ----------
     orientation : Orientation
         By which the spectra are turned when they are read; sources come turned.
-    spectra : bool
+    spectrum : bool
         Whether to keep the spectra, as they come: 700 to 1,500 bytes a window.
     """
 
-    def __init__(self, orientation: Orientation = ALIGNED, *, spectra: bool = True) -> None:
+    def __init__(self, orientation: Orientation = ALIGNED, *, spectrum: bool = True) -> None:
         self._orientation = orientation
         self._windows: list[bytes] = []
-        self._spectra: list[FloatArray] | None = [] if spectra else None
+        self._spectra: list[FloatArray] | None = [] if spectrum else None
 
     def append(self, window: WindowResult) -> None:
         """Take the next window; its sources in the robot's frame, its spectrum in the array's."""

@@ -62,8 +62,8 @@ class LocalizeOptions:
     """How the array is mounted, and where nothing is reported"""
     noise: NoiseCovariance | None = None
     """The robot's own noise, to be taken away"""
-    spectra: bool = True
-    """Whether the windows' spectra are kept: without them a window is a few numbers"""
+    spectrum: bool = False
+    """Whether every window has its spatial spectrum: without it a window is a few numbers"""
 
 
 @dataclass(frozen=True, slots=True)

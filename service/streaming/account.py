@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
-from service.doa.orientation import Orientation
-from service.protocol.degrees import azimuth_deg
-from service.protocol.server_messages import TrackSummary
+from service.protocol.server_messages import StreamSource, TrackSummary
 from service.streaming.history import History, HistoryEntry, Point
 from service.streaming.pipeline import Estimate
 
@@ -48,23 +46,15 @@ class Account:
     _lag_counts: Counter[int] = field(default_factory=Counter)
     """Results by their lag in whole milliseconds, up to ``LONGEST_LAG_MS``"""
 
-    def add(self, estimate: Estimate, orientation: Orientation, lag_ms: float) -> None:
-        """Take in one result."""
+    def add(self, estimate: Estimate, sources: Iterable[StreamSource], lag_ms: float) -> None:
+        """Take in one result with its sources as they are sent."""
         step = estimate.t_end - self.t_end
         self.results += 1
         self.lag_ms, self.t_end = lag_ms, estimate.t_end
         self.most_lag_ms = max(self.most_lag_ms, lag_ms)
         self._lags.append(lag_ms)
         self._lag_counts[min(round(lag_ms), LONGEST_LAG_MS)] += 1
-        points = tuple(
-            Point(
-                track.id,
-                azimuth_deg(orientation.on_robot(track.azimuth)),
-                round(track.confidence, 3),
-                track.active,
-            )
-            for track in estimate.tracks
-        )
+        points = tuple(Point(s.id, s.azimuth_deg, s.confidence, s.active) for s in sources)
         self.history.append(
             HistoryEntry(round(estimate.t_end, 6), estimate.capture_time_ns, points)
         )

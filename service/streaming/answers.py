@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from service.doa.orientation import Orientation
 from service.doa.peaks import find_peaks
 from service.doa.tracking import Track
-from service.protocol.degrees import azimuth_deg, unit_vector
+from service.protocol.degrees import azimuth_deg, degrees, unit_vector
 from service.protocol.server_messages import OdasPotential, OdasSource, StreamSource
 from service.streaming.pipeline import Estimate
 
@@ -18,14 +19,18 @@ ODAS_HOP_S = 0.008
 
 
 def result_fields(
-    estimate: Estimate, orientation: Orientation, *, spectrum: bool
+    estimate: Estimate,
+    sources: Sequence[StreamSource],
+    orientation: Orientation,
+    *,
+    spectrum: bool,
 ) -> dict[str, Any]:
     """Fields of ``Result`` but for ``seq``, ``lag_ms`` and ``final``."""
     fields: dict[str, Any] = {
         "t_start": round(estimate.t_start, 6),
         "t_end": round(estimate.t_end, 6),
         "capture_time_ns": estimate.capture_time_ns,
-        "sources": [stream_source(track, orientation) for track in estimate.tracks],
+        "sources": sources,
         "why_no_source": estimate.why_no_source,
         "spectrum": None,
     }
@@ -44,8 +49,8 @@ def stream_source(track: Track, orientation: Orientation) -> StreamSource:
         unit_vector=unit_vector(azimuth),
         confidence=round(track.confidence, 3),
         active=track.active,
-        velocity_deg_s=round(math.degrees(track.velocity), 2),
-        std_deg=round(math.degrees(math.sqrt(track.variance)), 2),
+        velocity_deg_s=degrees(track.velocity),
+        std_deg=degrees(math.sqrt(track.variance)),
     )
 
 

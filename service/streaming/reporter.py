@@ -28,7 +28,13 @@ from service.protocol.server_messages import (
     WarningCode,
 )
 from service.streaming.account import Account
-from service.streaming.answers import odas_potentials, odas_sources, odas_time_stamp, result_fields
+from service.streaming.answers import (
+    odas_potentials,
+    odas_sources,
+    odas_time_stamp,
+    result_fields,
+    stream_source,
+)
 from service.streaming.intake import Gap
 from service.streaming.pipeline import Estimate
 from service.streaming.work import StreamOpened
@@ -117,14 +123,15 @@ class Reporter:
         arrived = now if estimate.arrived is None else estimate.arrived
         lag_ms = round(1000 * max(0.0, now - arrived), 1)
         orientation = Orientation.of_degrees(output.yaw_deg, output.exclude_deg)
-        self.account.add(estimate, orientation, lag_ms)
+        sources = [stream_source(track, orientation) for track in estimate.tracks]
+        self.account.add(estimate, sources, lag_ms)
         if output.format == "odas":
             stamp = odas_time_stamp(estimate)
             self.emit(OdasSsl, timeStamp=stamp, src=odas_potentials(estimate, orientation))
             self.emit(OdasSst, timeStamp=stamp, src=odas_sources(estimate, orientation))
         else:
             spectrum = self.watched or "spectrum" in output.include
-            fields = result_fields(estimate, orientation, spectrum=spectrum)
+            fields = result_fields(estimate, sources, orientation, spectrum=spectrum)
             self.emit(Result, **fields, lag_ms=lag_ms, final=final)
 
     def received(self, seconds: float, buffered_s: float) -> None:

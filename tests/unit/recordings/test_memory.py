@@ -59,14 +59,14 @@ def peak(windows: int, *, spectra: bool) -> int:
     soundfile.write(file, noise, RATE, format="WAV", subtype="PCM_16")
     file.seek(0)
     options = LocalizeOptions(
-        array=ARRAY, method="norm_music", window_s=0.128, hop_s=HOP_S, spectra=spectra
+        array=ARRAY, method="norm_music", window_s=0.128, hop_s=HOP_S, spectrum=spectra
     )
     del noise
     with Recording.open(file) as recording:
         tracemalloc.start()
         try:
             result = localize_recording(recording, options, BundleRegistry([]))
-            answer = localization_json(result, spectrum=spectra)
+            answer = localization_json(result)
             most = tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()
