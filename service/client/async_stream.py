@@ -107,5 +107,5 @@ class AsyncStreamClient(StreamControls):
     async def __aenter__(self) -> Self:
         return await self.open()
 
-    async def __aexit__(self, *exception: object) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.close()

@@ -106,7 +106,7 @@ class LocalizationClient:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *exception: object) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _list(self, name: str) -> list[Answer]:
@@ -154,7 +154,7 @@ class AsyncLocalizationClient:
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(self, *exception: object) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.close()
 
     async def _list(self, name: str) -> list[Answer]:

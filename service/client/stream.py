@@ -91,7 +91,7 @@ class StreamClient(StreamControls):
     def __enter__(self) -> Self:
         return self.open()
 
-    def __exit__(self, *exception: object) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
