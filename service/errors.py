@@ -33,8 +33,20 @@ DoaError
 
 from __future__ import annotations
 
+from typing import TypedDict, Unpack
+
 UNEXPECTED = "the service failed; its log says why: please report it"
 """Of errors that nobody foresaw; their cause stays in the log"""
+
+
+class Attributes(TypedDict, total=False):
+    """What a class of error may say of itself as keywords of its class statement."""
+
+    code: str
+    status: int
+    title: str
+    retryable: bool
+    close_code: int
 
 
 class DoaError(Exception):
@@ -51,8 +63,8 @@ class DoaError(Exception):
     retry_after_s: float | None = None
     """Seconds after which the same request passes, where that is known"""
 
-    def __init_subclass__(cls, **attributes: str | int | bool) -> None:
-        """Take the attributes above as keywords of the class statement."""
+    def __init_subclass__(cls, **attributes: Unpack[Attributes]) -> None:
+        """Take attributes as keywords of the class statement; what is not given is inherited."""
         super().__init_subclass__()
         for name, value in attributes.items():
             setattr(cls, name, value)

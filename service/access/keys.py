@@ -67,7 +67,7 @@ class Keys:
         self._keys = read_keys(self._path)
         names = {key.name for key in self._keys}
         for name, usage in tuple(self._usage.items()):
-            if name not in names and not usage.sessions and not usage.uploads:
+            if name not in names and usage.idle:
                 del self._usage[name]
 
     def authenticate(self, token: str | None) -> Key:

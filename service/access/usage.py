@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 
-from service.errors import AudioQuota, TooManySessions, TooManyUploads
+from service.errors import AudioQuota, DoaError, TooManySessions, TooManyUploads
 
 HOUR_S = 3600.0
 
@@ -27,42 +28,37 @@ class Usage:
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
         self._lock = threading.Lock()
-        self.sessions = 0
-        self.uploads = 0
+        self._held: Counter[str] = Counter()
         self._audio_s = 0.0
         """Seconds of audio that have not drained yet, at ``_since``"""
         self._since = clock()
 
-    @contextmanager
-    def session(self, most: int | None) -> Iterator[None]:
+    @property
+    def idle(self) -> bool:
+        """True where no place is held."""
+        return not any(self._held.values())
+
+    def session(self, most: int | None) -> AbstractContextManager[None]:
         """Hold a place for a stream, or raise TooManySessions."""
-        with self._lock:
-            if most is not None and self.sessions >= most:
-                raise TooManySessions(
-                    f"this key has {self.sessions} streams, as many as it may: close one"
-                )
-            self.sessions += 1
-        try:
-            yield
-        finally:
-            with self._lock:
-                self.sessions -= 1
+        refusal = TooManySessions(f"this key's streams reached its limit of {most}: close one")
+        return self._place("sessions", most, refusal)
+
+    def upload(self, most: int | None) -> AbstractContextManager[None]:
+        """Hold a place for an upload, or raise TooManyUploads."""
+        refusal = TooManyUploads(f"this key's uploads reached its limit of {most}: wait for one")
+        return self._place("uploads", most, refusal)
 
     @contextmanager
-    def upload(self, most: int | None) -> Iterator[None]:
-        """Hold a place for an upload, or raise TooManyUploads."""
+    def _place(self, kind: str, most: int | None, refusal: DoaError) -> Iterator[None]:
         with self._lock:
-            if most is not None and self.uploads >= most:
-                raise TooManyUploads(
-                    f"{self.uploads} uploads of this key are in work, as many as it may have: "
-                    "wait for one"
-                )
-            self.uploads += 1
+            if most is not None and self._held[kind] >= most:
+                raise refusal
+            self._held[kind] += 1
         try:
             yield
         finally:
             with self._lock:
-                self.uploads -= 1
+                self._held[kind] -= 1
 
     def charge(self, seconds: float, per_hour: float | None) -> None:
         """Count seconds of audio; they may exceed the limit, what follows is then refused."""

@@ -6,15 +6,12 @@ Compression stays off: it costs milliseconds per message and hardly shortens aud
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
 import os
 import socket
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
-from pydantic import BaseModel
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import (
     ConnectionClosed,
@@ -25,10 +22,10 @@ from websockets.exceptions import (
 from websockets.typing import Subprotocol
 
 from service.client.addresses import authorization
-from service.client.errors import ServiceUnreachable, StreamClosed, StreamRefused
+from service.client.errors import ServiceProblem, ServiceUnreachable, StreamRefused
 from service.errors import InvalidMessage, InvalidOption
 from service.protocol import SUBPROTOCOL
-from service.protocol.client_messages import Start, read_client_message
+from service.protocol.client_messages import Start
 from service.protocol.close_codes import RETRYABLE
 from service.protocol.server_messages import (
     AnyServerMessage,
@@ -40,9 +37,7 @@ from service.protocol.server_messages import (
 
 logger = logging.getLogger("neuralmusic.client")
 
-RETRYABLE_STATUS = frozenset({429, 502, 503, 504})
-"""502 and 504 are a proxy's words for a service that restarts; 429 passes: a robot that lost its
-network comes back before the service has noticed that its last session is over"""
+Problem = TypeVar("Problem", bound=ServiceProblem)
 MIN_SEND_BUFFER = 64 * 1024
 MAX_SERVER_MESSAGE = 2**20
 
@@ -58,30 +53,6 @@ class Timeouts:
     """Between pings of the connection, which notice a vanished service"""
     ping_timeout_s: float = 5.0
     """Without an answer to such a ping, or in which nothing that is sent gets away"""
-
-
-def read_start(start: Start | None, fields: Mapping[str, Any]) -> Start:
-    """The ``start`` message from itself or from its fields.
-
-    ``array`` may be a preset's name alone, and values may be numpy arrays.
-
-    Raises
-    ------
-    InvalidMessage
-        If a field is unknown, missing or out of range.
-    InvalidOption
-        If both are given, or none.
-    """
-    if start is not None:
-        if fields:
-            raise InvalidOption(f"give a Start or its fields ({', '.join(fields)}), not both")
-        return start
-    message: dict[str, Any] = {"type": "start", **fields}
-    if isinstance(message.get("array"), str):
-        message["array"] = {"name": message["array"]}
-    read = read_client_message(json.dumps(message, default=_plain))
-    assert isinstance(read, Start)
-    return read
 
 
 async def open_connection(
@@ -119,7 +90,13 @@ async def open_connection(
             max_size=MAX_SERVER_MESSAGE,
         )
     except InvalidStatus as error:
-        raise _refused_handshake(error) from None
+        response = error.response
+        raise StreamRefused.answered(
+            response.status_code,
+            response.reason_phrase,
+            response.body or b"",
+            response.headers.get("Retry-After"),
+        ) from None
     except InvalidURI as error:
         raise InvalidOption(f"{url} is no address: {error}") from None
     except (OSError, InvalidHandshake) as error:  # TimeoutError is an OSError
@@ -151,14 +128,7 @@ async def _start(
             if isinstance(message, StreamError | Closing):
                 said = message
     except ConnectionClosed:
-        closed = closed_by(websocket, said)
-        raise StreamRefused(
-            closed.code,
-            closed.title,
-            closed.detail,
-            retryable=closed.retryable,
-            close_code=closed.close_code,
-        ) from None
+        raise closed_by(websocket, said, StreamRefused) from None
 
 
 async def _receive(websocket: ClientConnection, url: str, timeout_s: float) -> str | bytes:
@@ -180,51 +150,23 @@ def read_known(text: str | bytes) -> AnyServerMessage | None:
         return None
 
 
-def closed_by(websocket: ClientConnection, said: StreamError | Closing | None) -> StreamClosed:
+def closed_by(
+    websocket: ClientConnection, said: StreamError | Closing | None, kind: type[Problem]
+) -> Problem:
     """Why a closed connection ended, in the service's words where it said any."""
     code = websocket.close_code or 1006
-    retryable = code in RETRYABLE
-    if isinstance(said, StreamError):
-        return StreamClosed(
-            said.code, said.title, said.detail, retryable=retryable, close_code=code
+    if said is not None:
+        title = said.title if isinstance(said, StreamError) else "Session ended"
+        why = said.code, title, said.detail
+    else:
+        reason = f" ({websocket.close_reason})" if websocket.close_reason else ""
+        name, title, lost = (
+            ("connection_lost", "Connection lost", "the connection to the service was lost")
+            if code == 1006
+            else (f"closed_{code}", "Connection closed", "the service closed")
         )
-    if isinstance(said, Closing):
-        return StreamClosed(
-            said.code, "Session ended", said.detail, retryable=retryable, close_code=code
-        )
-    reason = f" ({websocket.close_reason})" if websocket.close_reason else ""
-    lost = "the connection to the service was lost" if code == 1006 else "the service closed"
-    return StreamClosed(
-        "connection_lost" if code == 1006 else f"closed_{code}",
-        "Connection lost" if code == 1006 else "Connection closed",
-        f"{lost} without a word, code {code}{reason}",
-        retryable=retryable,
-        close_code=code,
-    )
-
-
-def _refused_handshake(error: InvalidStatus) -> StreamRefused:
-    response = error.response
-    status = response.status_code
-    try:
-        problem = json.loads(response.body or b"")
-        code, title, detail = (str(problem[key]) for key in ("code", "title", "detail"))
-    except (ValueError, LookupError, TypeError):
-        code, title = f"http_{status}", response.reason_phrase or "Refused"
-        detail = f"the service refused the stream with HTTP status {status} ({title})"
-    return StreamRefused(
-        code,
-        title,
-        detail,
-        status,
-        status in RETRYABLE_STATUS,
-        retry_after_s=read_retry_after(response.headers.get("Retry-After")),
-    )
-
-
-def read_retry_after(header: str | None) -> float | None:
-    """Seconds of a ``Retry-After``; a date is not waited for."""
-    return float(header) if header is not None and header.strip().isdigit() else None
+        why = name, title, f"{lost} without a word, code {code}{reason}"
+    return kind(*why, retryable=code in RETRYABLE, close_code=code)
 
 
 def _unreachable(url: str, error: Exception, timeout_s: float) -> ServiceUnreachable:
@@ -249,12 +191,3 @@ def _shrink_send_buffer(websocket: ClientConnection, size: int) -> None:
     found = websocket.transport.get_extra_info("socket")
     if found is not None and found.family in (socket.AF_INET, socket.AF_INET6):
         found.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, size)
-
-
-def _plain(value: object) -> Any:
-    """Models and numpy arrays as JSON."""
-    if isinstance(value, BaseModel):
-        return value.model_dump(mode="json", exclude_unset=True)
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    raise InvalidOption(f"{type(value).__name__} cannot be sent as JSON")

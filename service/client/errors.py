@@ -7,7 +7,14 @@ ClientError
 
 from __future__ import annotations
 
+import json
+from typing import Self
+
 from service.errors import DoaError
+
+RETRYABLE_STATUS = frozenset({429, 502, 503, 504})
+"""502 and 504 are a proxy's words for a service that restarts; 429 passes: a robot that lost its
+network comes back before the service has noticed that its last session is over"""
 
 
 class ClientError(DoaError, code="client_failed", title="The client cannot go on"):
@@ -52,6 +59,23 @@ class ServiceProblem(ClientError, code="service_problem", title="The service ref
         self.code, self.title, self.status = code, title, status
         self.retryable, self.close_code = retryable, close_code
         self.retry_after_s = retry_after_s
+
+    @classmethod
+    def answered(
+        cls, status: int, reason: str, body: bytes | bytearray, retry_after: str | None
+    ) -> Self:
+        """What an HTTP answer says, whether its body is a problem document or a proxy's page.
+
+        A ``Retry-After`` that is a date is not waited for.
+        """
+        try:
+            problem = json.loads(body)
+            code, title, detail = (str(problem[key]) for key in ("code", "title", "detail"))
+        except (ValueError, LookupError, TypeError):
+            code, title = f"http_{status}", reason or "Refused"
+            detail = f"the service answered with HTTP status {status} ({title})"
+        wait = float(retry_after) if retry_after and retry_after.strip().isdigit() else None
+        return cls(code, title, detail, status, status in RETRYABLE_STATUS, retry_after_s=wait)
 
 
 class StreamRefused(ServiceProblem, code="stream_refused", title="Stream refused"):

@@ -12,15 +12,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 import httpx2
-from pydantic_core import to_jsonable_python
 
 from service.client.addresses import authorization, service_url
-from service.client.connection import RETRYABLE_STATUS, read_retry_after
 from service.client.errors import ServiceProblem, ServiceUnreachable
+from service.client.start import plain
 from service.errors import InvalidOption
 
 Recording = str | Path | bytes | BinaryIO
@@ -108,12 +106,7 @@ class LocalizationClient:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _list(self, name: str) -> list[Answer]:
@@ -161,12 +154,7 @@ class AsyncLocalizationClient:
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.close()
 
     async def _list(self, name: str) -> list[Answer]:
@@ -209,11 +197,7 @@ def _form(file: BinaryIO, array: Any, options: Mapping[str, Any]) -> dict[str, A
 
 def _text(value: Any) -> str:
     """An option as the form has it; what is no text is JSON."""
-    return value if isinstance(value, str) else json.dumps(value, default=_plain)
-
-
-def _plain(value: object) -> Any:
-    return value.tolist() if hasattr(value, "tolist") else to_jsonable_python(value)
+    return value if isinstance(value, str) else json.dumps(value, default=plain)
 
 
 @contextmanager
@@ -231,27 +215,22 @@ def _reaching(url: str) -> Iterator[None]:
 
 def _answer(response: httpx2.Response, key: str = "windows") -> Answer:
     """The JSON of an answer, which has this key, or the problem that it is."""
+    if not response.is_success:
+        raise ServiceProblem.answered(
+            response.status_code,
+            response.reason_phrase,
+            response.content,
+            response.headers.get("Retry-After"),
+        )
     try:
         document = response.json()
     except ValueError:
         document = None
-    if not isinstance(document, dict):
-        document = {}
-    if response.is_success and key in document:
-        return document
-    if response.is_success:
+    if not (isinstance(document, dict) and key in document):
         raise InvalidOption(
             f"{response.request.url} answers, but not as this service does: check the address"
         )
-    status = response.status_code
-    raise ServiceProblem(
-        str(document.get("code", f"http_{status}")),
-        str(document.get("title", response.reason_phrase)),
-        str(document.get("detail", f"the service answered with HTTP status {status}")),
-        status,
-        status in RETRYABLE_STATUS,
-        retry_after_s=read_retry_after(response.headers.get("Retry-After")),
-    )
+    return document
 
 
 def _listed(response: httpx2.Response, name: str) -> list[Answer]:

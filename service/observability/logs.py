@@ -78,12 +78,16 @@ def _fields(record: logging.LogRecord) -> dict[str, Any]:
     return {name: value for name, value in record.__dict__.items() if name not in _OWN}
 
 
-class JsonFormatter(logging.Formatter):
-    """One JSON object a line."""
+class WorkerFormatter(logging.Formatter):
+    """Lines that say which process they are of, where that is a worker."""
 
     def __init__(self, worker: str | None = None) -> None:
         super().__init__()
         self._worker = worker
+
+
+class JsonFormatter(WorkerFormatter):
+    """One JSON object a line."""
 
     def format(self, record: logging.LogRecord) -> str:
         created = datetime.fromtimestamp(record.created, UTC)
@@ -101,12 +105,8 @@ class JsonFormatter(logging.Formatter):
         return _without_keys(json.dumps(line, default=str))
 
 
-class TextFormatter(logging.Formatter):
+class TextFormatter(WorkerFormatter):
     """One line for people; only a traceback takes more."""
-
-    def __init__(self, worker: str | None = None) -> None:
-        super().__init__()
-        self._worker = worker
 
     def format(self, record: logging.LogRecord) -> str:
         clock = f"{self.formatTime(record, '%H:%M:%S')}.{record.msecs:03.0f}"
