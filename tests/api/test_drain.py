@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import re
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -71,16 +66,3 @@ def test_what_comes_during_the_delay_is_served_and_then_told_that_it_ends() -> N
     assert kinds[-2:] == ["summary", "closing"]
     assert stream.close_code == 1012
     running.stop()
-
-
-def test_a_process_that_was_asked_to_end_ends_well() -> None:
-    command = [sys.executable, "-c", "from service.cli import main; main()", "serve", "--port", "0"]
-    environment = {**os.environ, "NEURALMUSIC_LOG_LEVEL": "warning"}
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment
-    ) as process:
-        assert process.stdout is not None
-        (url,) = re.findall(r"http://\S+", process.stdout.readline())
-        assert httpx2.get(f"{url}/readyz").status_code == 200
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(PATIENCE) == 0

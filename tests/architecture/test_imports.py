@@ -1,51 +1,85 @@
-"""Who may import whom: the service runs without torch and never looks into the training code."""
+"""Who may import whom: rooms only those below, the service no training code, nobody in circles."""
 
 from __future__ import annotations
 
-import ast
 import subprocess
 import sys
-from collections.abc import Iterator
-from pathlib import Path
+from graphlib import CycleError, TopologicalSorter
 
 import pytest
+from source_tree import ROOT, imported, modules, own_imports, room
 
-ROOT = Path(__file__).parents[2]
-FORBIDDEN = {"torch", "model_export", "onnx", "onnxscript"}
-LAYERS = ("doa", "inference", "streaming", "api")
-"""A room may import those to its left"""
+ORDER = {
+    "service": (
+        ("__init__", "errors"),
+        ("access", "doa", "machine", "protocol"),
+        ("audio", "inference", "settings"),
+        ("observability", "recordings", "startup", "streaming"),
+        ("workers",),
+        ("api", "batch", "bench", "client"),
+        ("app", "connections"),
+        ("server", "openapi"),
+        ("cli", "ray_app"),
+    ),
+    "model_export": (
+        ("__init__",),
+        ("simulation",),
+        ("datasets", "training"),
+        ("baselines", "export"),
+        ("evaluation", "finetuning"),
+        ("experiments",),
+        ("cli",),
+        ("__main__",),
+    ),
+}
+"""Rooms from the ground up: each imports only those of the lines above it, none of its own line"""
 
-
-def imports(path: Path) -> Iterator[str]:
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            yield node.module
-
-
-MODULES = sorted((ROOT / "service").rglob("*.py"))
-
-
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_the_service_imports_no_training_code(path: Path) -> None:
-    assert not FORBIDDEN & {name.split(".")[0] for name in imports(path)}
-
-
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_rooms_import_only_rooms_below(path: Path) -> None:
-    room = path.relative_to(ROOT / "service").parts[0]
-    if room not in LAYERS:
-        return
-    above = LAYERS[LAYERS.index(room) + 1 :]
-    used = {name.split(".")[1] for name in imports(path) if name.startswith("service.")}
-    assert not used & {*above, "app", "server", "cli"}
+TRAINING = {"torch", "model_export", "onnx", "onnxscript"}
+CLIENTS_OWN = {"client", "protocol", "errors"}
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "service" / "client").glob("*.py")))
-def test_the_client_imports_only_the_protocol_and_the_errors(path: Path) -> None:
-    rooms = {name.split(".")[1] for name in imports(path) if name.startswith("service.")}
-    assert rooms <= {"client", "protocol", "errors"}
+@pytest.mark.parametrize("package", ORDER)
+def test_rooms_import_only_rooms_below(package: str) -> None:
+    floor = {name: level for level, rooms in enumerate(ORDER[package]) for name in rooms}
+    assert {room(module) for module in modules(package)} == set(floor)
+    offenders = {
+        f"{module} imports {other}"
+        for module, other in own_imports(package)
+        if room(module) != room(other) and floor[room(module)] <= floor[room(other)]
+    }
+    assert not offenders
+
+
+@pytest.mark.parametrize("package", ORDER)
+def test_no_modules_import_each_other_in_a_circle(package: str) -> None:
+    graph: dict[str, set[str]] = {}
+    for module, other in own_imports(package):
+        graph.setdefault(module, set()).add(other)
+    circle: list[str] = []
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        circle = error.args[1]
+    assert not circle
+
+
+def test_the_service_imports_no_training_code() -> None:
+    offenders = {
+        f"{module} imports {name}"
+        for module, tree in modules("service").items()
+        for name in imported(tree)
+        if name.split(".")[0] in TRAINING
+    }
+    assert not offenders
+
+
+def test_the_client_imports_only_the_protocol_and_the_errors() -> None:
+    offenders = {
+        f"{module} imports {other}"
+        for module, other in own_imports("service")
+        if room(module) == "client" and room(other) not in CLIENTS_OWN
+    }
+    assert not offenders
 
 
 def test_the_running_service_has_loaded_no_torch() -> None:

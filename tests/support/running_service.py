@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import patch
 
 from scripted_service import TIMEOUT_S
 
@@ -37,6 +38,18 @@ def serving(**settings: str) -> Iterator[str]:
             process.terminate()
 
 
+async def workers_with_the_first_work(self: ServiceState) -> None:
+    """In the place of ``start_workers``: a worker is started when something comes for it."""
+
+
+WORKERS_LATER = """
+from running_service import workers_with_the_first_work
+from service.api.state import ServiceState
+ServiceState.start_workers = workers_with_the_first_work
+"""
+"""The same as a program's first lines, for a process of its own"""
+
+
 class RunningService:
     """A running service; ``stop`` drains it as SIGTERM does.
 
@@ -46,9 +59,14 @@ class RunningService:
         0 takes a free one.
     settings : Settings, optional
         One worker by default.
+    workers_ahead : bool
+        Start a worker of each kind before the first client comes, as the service does by itself;
+        each takes seconds.
     """
 
-    def __init__(self, port: int = 0, settings: Settings | None = None) -> None:
+    def __init__(
+        self, port: int = 0, settings: Settings | None = None, *, workers_ahead: bool = False
+    ) -> None:
         settings = settings or Settings(workers=1)
         settings = settings.model_copy(update={"port": port, "log_level": "error"})
         app = self._app = create_app(settings)
@@ -56,8 +74,10 @@ class RunningService:
         config = server_config(app, settings)
         self._server = Server(config, app.state.service, lambda _: started.set())
         self._thread = threading.Thread(target=self._server.run)
-        self._thread.start()
-        assert started.wait(TIMEOUT_S)
+        start = ServiceState.start_workers if workers_ahead else workers_with_the_first_work
+        with patch.object(ServiceState, "start_workers", start):
+            self._thread.start()
+            assert started.wait(TIMEOUT_S)
         self.port: int = self._server.servers[0].sockets[0].getsockname()[1]
         self.url = f"http://127.0.0.1:{self.port}"
 
@@ -83,3 +103,4 @@ class RunningService:
     def stop(self) -> None:
         self.begin_stop()
         self._thread.join(TIMEOUT_S)
+        assert not self._thread.is_alive()
