@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+from model_export.evaluation.sections import renew
 from model_export.experiments.outcome import Outcome
-from model_export.experiments.report import FOLDER, keep, renew, section
+from model_export.experiments.report import FOLDER, SECTION, keep, section
 from model_export.experiments.scale import SCALES
 
 if TYPE_CHECKING:
@@ -168,4 +169,8 @@ def _tell(
         whole = f"python -m model_export {command} --scale {arguments.scale} --out docs"
         keep(arguments.out, name, title, whole, arguments.scale, outcome)
         order = [*NAMES, *RECORDINGS]
-        renew(arguments.out / "results.md", section(arguments.out, order, asdict(study.scale)))
+        renew(
+            arguments.out / "results.md",
+            SECTION,
+            section(arguments.out, order, asdict(study.scale)),
+        )

@@ -17,8 +17,8 @@ from rich.progress import track
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
-from model_export.evaluation.reliability import HIT_DEG, calibration_error, confidence_bins
 from model_export.simulation.scenes import WINDOW_SAMPLES, RoomBank, Scene, SceneConfig, draw_scene
+from model_export.training.confidences import HIT_DEG, calibration_error, confidence_bins
 from model_export.training.task import SHORT_SAMPLES
 from service.doa.array import MicrophoneArray
 from service.doa.scoring import circular_error
