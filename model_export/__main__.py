@@ -206,7 +206,7 @@ def _simulated(
 ) -> tuple[SceneSource, SceneSource]:
     """Scenes to train on and scenes to validate with, of other rooms and speakers."""
     from model_export.simulation.array_rooms import ArrayRooms
-    from model_export.simulation.scenes import RoomBank
+    from model_export.simulation.room_bank import RoomBank
     from model_export.training.scene_stream import RoomSource, SimulatedScenes
 
     if arguments.speech_commands is None:

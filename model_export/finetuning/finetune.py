@@ -35,7 +35,7 @@ from model_export.finetuning.heldout import (
 )
 from model_export.finetuning.labelled_recordings import LabelledRecording
 from model_export.finetuning.labelled_scenes import Augmentation, LabelledScenes
-from model_export.simulation.scenes import RoomBank
+from model_export.simulation.room_bank import RoomBank
 from model_export.training.regression import RegressionTask
 from model_export.training.scene_stream import SceneStream, SimulatedScenes
 from model_export.training.task import Batch, Task

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch.utils.data import IterableDataset
 
+from model_export.simulation.room_bank import RoomChunk
 from model_export.simulation.scenes import Scene, draw_scene
 from model_export.training.config import TrainingConfig
 from model_export.training.task import Batch, task_of
@@ -20,7 +21,7 @@ from service.doa.types import FloatArray
 class RoomSource(Protocol):
     """Chunks of simulated rooms: a bank on disk or rooms made for one array."""
 
-    def chunk(self, rng: np.random.Generator) -> dict[str, FloatArray]: ...
+    def chunk(self, rng: np.random.Generator) -> RoomChunk: ...
 
 
 class SceneSource(Protocol):

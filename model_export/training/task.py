@@ -20,9 +20,9 @@ from service.doa.features import coherence_features, unit_vectors_and_power
 from service.doa.steering import resolution, unit_vectors
 from service.doa.stft import Stft
 from service.doa.types import FloatArray
+from service.inference.results import MAX_SOURCES
 
 Batch = dict[str, Tensor]
-MAX_SOURCES = 4
 STFT = Stft()
 BIN_STEP = 2
 """Every other bin, from a random one on, forms spectra in training"""

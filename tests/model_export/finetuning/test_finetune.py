@@ -23,8 +23,8 @@ from model_export.finetuning.labelled_recordings import load_recordings
 from model_export.finetuning.labelled_scenes import LabelledScenes
 from model_export.finetuning.labels import LABELS
 from model_export.finetuning.own_room import write_own_room
+from model_export.simulation.room_bank import RoomBank
 from model_export.simulation.rooms import RoomSpec
-from model_export.simulation.scenes import RoomBank
 from model_export.simulation.synthesis import synthetic_voice
 from model_export.training.config import ANY_ARRAY, PAPER, TrainingConfig
 from model_export.training.counting import CandidateCountNetwork

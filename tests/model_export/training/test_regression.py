@@ -183,17 +183,17 @@ def test_rooms_of_the_bound_array_follow_from_the_generator_and_differ() -> None
     rng = np.random.default_rng(3)
     first, second = ArrayRooms(ARRAY).chunk(rng), ArrayRooms(ARRAY).chunk(rng)
     again = ArrayRooms(ARRAY).chunk(np.random.default_rng(3))
-    np.testing.assert_array_equal(first["responses"], again["responses"])
-    assert not np.array_equal(first["azimuth"], second["azimuth"])
+    np.testing.assert_array_equal(first.responses, again.responses)
+    assert not np.array_equal(first.azimuth, second.azimuth)
 
 
 @pytest.mark.usefixtures("few_rooms")
 def test_simulated_responses_arrive_from_where_their_labels_say() -> None:
     chunk = simulate_array_chunk(5, ARRAY)
-    assert chunk["responses"].shape[:3] == (3, rooms.SOURCES_PER_ROOM, 4)
-    assert chunk["diffuse"].shape[:2] == (3, 4)
-    np.testing.assert_array_equal(chunk["positions"], np.stack([ARRAY.positions] * 3))
-    for responses, azimuths in zip(chunk["responses"], chunk["azimuth"], strict=True):
+    assert chunk.responses.shape[:3] == (3, rooms.SOURCES_PER_ROOM, 4)
+    assert chunk.diffuse.shape[:2] == (3, 4)
+    np.testing.assert_array_equal(chunk.positions, np.stack([ARRAY.positions] * 3))
+    for responses, azimuths in zip(chunk.responses, chunk.azimuth, strict=True):
         for response, azimuth in zip(responses, azimuths, strict=True):
             error = np.rad2deg(onset_azimuth(response.astype(np.float64)) - azimuth)
             assert abs((error + 180) % 360 - 180) < 8  # 1 mm of jitter on 32 mm of radius
