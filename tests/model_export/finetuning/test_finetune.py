@@ -29,7 +29,8 @@ from model_export.simulation.synthesis import synthetic_voice
 from model_export.training.config import ANY_ARRAY, PAPER, TrainingConfig
 from model_export.training.counting import CandidateCountNetwork
 from model_export.training.regression import RegressionTask
-from model_export.training.task import WeightsTask
+from model_export.training.variants import collate
+from model_export.training.weights_task import WeightsTask
 from service.cli.inputs import read_array
 from service.doa.array import MicrophoneArray
 from service.doa.features import coherence_features, unit_vectors_and_power
@@ -238,7 +239,7 @@ def test_simulated_scenes_take_their_share_of_the_steps(
 ) -> None:
     recordings = load_recordings(own_room / "recordings", square)
     scenes, model = LabelledScenes(recordings, square), trained_model(load_bundle(weights))
-    batch = model.task.collate(np.random.default_rng(0), scenes.windows(1)[:4])
+    batch = collate(model.config, np.random.default_rng(0), scenes.windows(1)[:4])
     few = replace(SHORT, steps=2, simulated=1.0)
     simulated = iter([batch] * 3)
     _, array = train(model, scenes, square, few, simulated)
