@@ -117,7 +117,7 @@ def is_whole(folder: Path) -> bool:
 
 def simulated(folder: Path, recipe: Recipe, speech: Sequence[FloatArray], workers: int) -> SceneSet:
     """The recipe's scenes, simulated and written."""
-    with Workers(Inputs(Methods(()), speech, recipe.seed), workers) as pool:
+    with Workers.start(Inputs(Methods(()), speech, recipe.seed), workers) as pool:
         parts = (
             pool.map(
                 _simulate,

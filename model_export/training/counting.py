@@ -18,7 +18,8 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
 from model_export.simulation.room_bank import RoomBank
-from model_export.simulation.scenes import WINDOW_SAMPLES, Scene, SceneConfig, draw_scene
+from model_export.simulation.scene_config import SceneConfig
+from model_export.simulation.scenes import WINDOW_SAMPLES, Scene, draw_scene
 from model_export.training.confidences import HIT_DEG, calibration_error, confidence_bins
 from model_export.training.task import SHORT_SAMPLES
 from service.doa.array import MicrophoneArray

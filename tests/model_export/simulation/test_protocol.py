@@ -24,9 +24,9 @@ from model_export.simulation.rooms import (
     random_room,
 )
 from model_export.simulation.running_speech import running_speech
+from model_export.simulation.scene_config import SceneConfig
 from model_export.simulation.scenes import (
     WINDOW_SAMPLES,
-    SceneConfig,
     convolve,
     draw_scene,
 )

@@ -155,9 +155,7 @@ def test_the_task_learns_and_reaches_every_parameter() -> None:
     torch.manual_seed(0)
     task = task_of(PAPER_SSCL)
     rng = np.random.default_rng(0)
-    batch = collate_masked(
-        rng, [plane_wave(rng, azimuth) for azimuth in (20.0, 130.0, 205.0, 310.0)]
-    )
+    batch = collate_masked(rng, [plane_wave(rng, azimuth) for azimuth in (20, 130, 205, 310)])
     optimizer = torch.optim.Adam(task.model.parameters(), 3e-3)
     losses = []
     for _ in range(40):
