@@ -25,7 +25,7 @@ from model_export.baselines.music import LOG_FLOOR, music_spectrum
 from model_export.baselines.network import (
     COUNT_WEIGHT,
     GRID_SIZE,
-    MAX_SOURCES,
+    MAX_TALKERS,
     BaselineNetwork,
     Prediction,
     Truth,
@@ -105,7 +105,7 @@ class DeepMusic(BaselineNetwork):
         self.spectra = nn.ModuleList(
             nn.Linear(scaled(UNITS, width), GRID_SIZE // REGIONS) for _ in range(REGIONS)
         )
-        self.count = nn.Linear(REGIONS * scaled(UNITS, width), MAX_SOURCES + 1)
+        self.count = nn.Linear(REGIONS * scaled(UNITS, width), MAX_TALKERS + 1)
         self.frequencies = STFT.frequencies[list(self.bins)]
 
     def features(self, audio: FloatArray) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from model_export.baselines.network import GRID_SIZE, MAX_SOURCES, Prediction
+from model_export.baselines.network import GRID_SIZE, MAX_TALKERS, Prediction
 
 
 def spectrum_layer(inputs: int, grid_size: int = GRID_SIZE) -> nn.Linear:
@@ -22,7 +22,7 @@ class SpectrumHead(nn.Module):
     def __init__(self, inputs: int, grid_size: int = GRID_SIZE) -> None:
         super().__init__()
         self.spectrum = spectrum_layer(inputs, grid_size)
-        self.count = nn.Linear(inputs, MAX_SOURCES + 1)
+        self.count = nn.Linear(inputs, MAX_TALKERS + 1)
 
     def forward(self, embedding: Tensor) -> Prediction:
         return Prediction(self.count(embedding), spectrum=torch.sigmoid(self.spectrum(embedding)))
@@ -41,9 +41,9 @@ class DirectionHead(nn.Module):
         self.kind = kind
         size = 2 if kind == "vectors" else 1
         self.directions = nn.ModuleList(
-            nn.Linear(inputs, count * size) for count in range(1, MAX_SOURCES + 1)
+            nn.Linear(inputs, count * size) for count in range(1, MAX_TALKERS + 1)
         )
-        self.count = nn.Linear(inputs, MAX_SOURCES + 1)
+        self.count = nn.Linear(inputs, MAX_TALKERS + 1)
 
     def forward(self, embedding: Tensor) -> Prediction:
         outputs = [linear(embedding) for linear in self.directions]

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from model_export.baselines.heads import spectrum_layer
 from model_export.baselines.method import Card
 from model_export.baselines.music import LOG_FLOOR, array_products, music_spectrum
-from model_export.baselines.network import MAX_SOURCES, BaselineNetwork, Prediction, Truth
+from model_export.baselines.network import MAX_TALKERS, BaselineNetwork, Prediction, Truth
 from model_export.training.networks import NUM_FRAMES, FrequencyAttentionFusion, SourceCountNetwork
 from model_export.training.precision import training_precision
 from model_export.training.regression import counted_projector, subspace_distance
@@ -38,7 +38,7 @@ class MatchedNetwork(BaselineNetwork):
         super().__init__()
         self.card = card  # type: ignore[misc]
         self.trunk = trunk
-        self.count = SourceCountNetwork(num_microphones, MAX_SOURCES)
+        self.count = SourceCountNetwork(num_microphones, MAX_TALKERS)
 
     def features(self, audio: FloatArray) -> FloatArray:
         return matched_features(audio)

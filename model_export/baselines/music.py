@@ -16,7 +16,7 @@ from model_export.baselines.bands import (
     band_snapshots,
     matched_snapshots,
 )
-from model_export.baselines.network import GRID_SIZE, MAX_SOURCES, BaselineNetwork, Prediction
+from model_export.baselines.network import GRID_SIZE, MAX_TALKERS, BaselineNetwork, Prediction
 from model_export.training.regression import counted_projector
 from model_export.training.subspace import delay_products, signal_power
 from model_export.training.task import STFT, steering_delays
@@ -54,7 +54,7 @@ class MusicResult:
     """What MUSIC makes of covariances in K bands."""
 
     count: Tensor
-    """(B, MAX_SOURCES + 1) logits"""
+    """(B, MAX_TALKERS + 1) logits"""
     projector: Tensor
     """(B, K, N, N) complex, on the signal subspaces"""
     covariance: Tensor
@@ -105,7 +105,7 @@ class EigenvalueCount(nn.Module):
             nn.BatchNorm1d(num_microphones * num_bands),
             nn.Linear(num_microphones * num_bands, hidden),
             nn.ReLU(),
-            nn.Linear(hidden, MAX_SOURCES + 1),
+            nn.Linear(hidden, MAX_TALKERS + 1),
         )
 
     def forward(self, covariance: Tensor) -> Tensor:
@@ -204,7 +204,7 @@ class PeakFinder(nn.Module):
             nn.ReLU(),
         )
         self.directions = nn.ModuleList(
-            nn.Linear(hidden, count) for count in range(1, MAX_SOURCES + 1)
+            nn.Linear(hidden, count) for count in range(1, MAX_TALKERS + 1)
         )
 
     def forward(self, spectrum: Tensor) -> tuple[Tensor, ...]:

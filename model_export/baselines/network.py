@@ -18,7 +18,7 @@ from model_export.training.targets import target_spectrum
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 
-MAX_SOURCES = 3
+MAX_TALKERS = 3
 """Most talkers in a scene of the comparison; count classes are 0 to this"""
 GRID_SIZE = 360
 SIGMA = float(np.deg2rad(5.0))
@@ -32,9 +32,9 @@ class Truth:
     """The sources of a batch."""
 
     azimuth: Tensor
-    """(B, MAX_SOURCES) radians"""
+    """(B, MAX_TALKERS) radians"""
     mask: Tensor
-    """(B, MAX_SOURCES) bool, which entries are sources, these first"""
+    """(B, MAX_TALKERS) bool, which entries are sources, these first"""
 
     @property
     def count(self) -> Tensor:
@@ -51,7 +51,7 @@ class Prediction:
     """What a network says of a batch: a spectrum or directions, and a count."""
 
     count: Tensor
-    """(B, MAX_SOURCES + 1) logits"""
+    """(B, MAX_TALKERS + 1) logits"""
     spectrum: Tensor | None = None
     """(B, A), larger where a source is more likely"""
     vectors: tuple[Tensor, ...] = field(default=())
@@ -144,7 +144,7 @@ def _permuted(
 ) -> Tensor:
     """Mean square over the scenes with sources, each under its best permutation.
 
-    ``outputs`` are those for 1, 2, ... sources, ``wanted`` (B, MAX_SOURCES, ...).
+    ``outputs`` are those for 1, 2, ... sources, ``wanted`` (B, MAX_TALKERS, ...).
     """
     total = outputs[0].sum() * 0.0
     for count, output in enumerate(outputs, start=1):
@@ -177,7 +177,7 @@ class LearnedMethod:
         known = None if num_sources is None else torch.tensor([num_sources])
         prediction = self.network(features, array, known)
         count = int(prediction.count[0].argmax()) if num_sources is None else num_sources
-        return decoded(prediction, min(count, MAX_SOURCES))
+        return decoded(prediction, min(count, MAX_TALKERS))
 
 
 def decoded(prediction: Prediction, count: int) -> Estimate:

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from model_export.baselines.method import Card, Estimate
-from model_export.baselines.network import MAX_SOURCES
+from model_export.baselines.network import MAX_TALKERS
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 from service.inference.bundle import Bundle, load_bundle
@@ -41,7 +41,7 @@ class ShippedBundle:
             raise ValueError(f"the bundle {self.card.name} does not fit the array {array.name}")
         if array.name not in self._localizers:
             self._localizers[array.name] = localizer_of(self._bundle, array)
-        most = min(MAX_SOURCES, array.num_microphones - 1)
+        most = min(MAX_TALKERS, array.num_microphones - 1)
         (found,) = self._localizers[array.name].estimate(audio[None], num_sources, most)
         return Estimate(np.array([source.azimuth for source in found.sources]), found.spectrum)
 

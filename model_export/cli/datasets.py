@@ -5,27 +5,19 @@ from __future__ import annotations
 import argparse
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from model_export.datasets.afpild import AFPILD
-from model_export.datasets.av163 import AV163
-from model_export.datasets.fault import Count, Fault
-from model_export.datasets.item import Dataset
-from model_export.datasets.locata import LOCATA
-from model_export.datasets.sloclas import SLoClas
-from model_export.datasets.speech_commands_rooms import SpeechCommandsRooms
+if TYPE_CHECKING:
+    from model_export.datasets.fault import Count, Fault
+    from model_export.datasets.item import Dataset
 
-DATASETS: Mapping[str, type[Dataset]] = MappingProxyType(
-    {dataset.name: dataset for dataset in (SpeechCommandsRooms, AV163, SLoClas, AFPILD, LOCATA)}
-)
 SHOWN = 10
 """Faults of one kind that are printed; all are in the JSON"""
 
 
-def add_datasets(commands: Any) -> None:
+def add(commands: Any) -> None:
     """Add ``datasets`` to the subparsers of the command line."""
     datasets = commands.add_parser("datasets", help="what data sets there are, check a download")
     actions = datasets.add_subparsers(required=True, metavar="ACTION")
@@ -36,31 +28,15 @@ def add_datasets(commands: Any) -> None:
         help="is a download complete? exit status 0 yes, 1 no, 2 not recognised",
     )
     check.add_argument("folder", type=Path, metavar="DIR")
-    check.add_argument("--dataset", choices=tuple(DATASETS), help="default: by what DIR holds")
+    check.add_argument("--dataset", metavar="NAME", help="default: by what DIR holds")
     check.set_defaults(run_command=_verify)
     for action in (listing, check):
         action.add_argument("--json", action="store_true", help="print JSON")
 
 
-def recognise(folder: Path) -> type[Dataset]:
-    """The data set that a folder holds, complete or not.
-
-    Raises
-    ------
-    ValueError
-        If it looks like none of them or like several.
-    """
-    found = [dataset for dataset in DATASETS.values() if dataset.recognises(folder)]
-    if len(found) == 1:
-        return found[0]
-    looks = f"like {' and '.join(dataset.name for dataset in found)}" if found else "like none"
-    raise ValueError(
-        f"{folder} looks {looks} of {', '.join(DATASETS)}: name the folder that the download "
-        "unpacked to, or --dataset; datasets list shows the layouts"
-    )
-
-
 def _list(arguments: argparse.Namespace) -> int:
+    from model_export.datasets.catalogue import DATASETS
+
     facts = [_facts(dataset) for dataset in DATASETS.values()]
     if arguments.json:
         print(json.dumps(facts, indent=2))
@@ -84,10 +60,13 @@ def _facts(dataset: type[Dataset]) -> dict[str, Any]:
 
 
 def _verify(arguments: argparse.Namespace) -> int:
+
+    from model_export.datasets.catalogue import named, recognise
+
     folder = arguments.folder
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder} is no folder: name the one that a download unpacked to")
-    dataset = DATASETS[arguments.dataset] if arguments.dataset else recognise(folder)
+    dataset = named(arguments.dataset) if arguments.dataset else recognise(folder)
     counts, faults = dataset.counts(folder), dataset.verify(folder)
     if arguments.json:
         print(json.dumps(_report(dataset, counts, faults), indent=2))

@@ -9,10 +9,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import torch
-
+from model_export.cli.device import add_device, device
+from model_export.cli.speech import add_speech_commands
+from model_export.evaluation.sections import renew
 from model_export.experiments.outcome import Outcome
-from model_export.experiments.report import FOLDER, keep, renew, section
+from model_export.experiments.report import FOLDER, SECTION, keep, section
 from model_export.experiments.scale import SCALES
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ NAMES = (
 )  # fmt: skip
 
 
-def add_commands(commands: Any) -> None:
+def add(commands: Any) -> None:
     """Add ``methods``, ``experiments`` and ``recordings`` to the subparsers of the command line."""
     listing = commands.add_parser("methods", help="list every method of the paper's comparison")
     listing.add_argument("--json", action="store_true", help="as a JSON array of objects")
@@ -75,7 +76,7 @@ def add_commands(commands: Any) -> None:
         metavar="NAME",
         help=f"{', '.join(NAMES)} or all",
     )
-    run.add_argument("--speech-commands", type=Path, required=True, help="corpus folder")
+    add_speech_commands(run)
     _add_where(run)
     run.set_defaults(run_command=_run)
 
@@ -99,7 +100,7 @@ def _add_where(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--methods", nargs="+", default=[], metavar="METHOD", help="only these rows; printed only"
     )
-    parser.add_argument("--device", help="cpu or cuda (default: cuda where there is one)")
+    add_device(parser)
 
 
 def _methods(arguments: argparse.Namespace) -> None:
@@ -149,7 +150,7 @@ def _study(arguments: argparse.Namespace) -> Study:
         arguments.scale,
         arguments.speech_commands,
         arguments.workers,
-        arguments.device or ("cuda" if torch.cuda.is_available() else "cpu"),
+        device(arguments),
         tuple(arguments.methods),
     )
 
@@ -168,4 +169,8 @@ def _tell(
         whole = f"python -m model_export {command} --scale {arguments.scale} --out docs"
         keep(arguments.out, name, title, whole, arguments.scale, outcome)
         order = [*NAMES, *RECORDINGS]
-        renew(arguments.out / "results.md", section(arguments.out, order, asdict(study.scale)))
+        renew(
+            arguments.out / "results.md",
+            SECTION,
+            section(arguments.out, order, asdict(study.scale)),
+        )

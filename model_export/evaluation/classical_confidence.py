@@ -9,16 +9,13 @@ is as good as any curve. ``service/inference/classical.py`` holds them.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import scipy.optimize
 from rich.progress import track
 
-from model_export.datasets.speech import load, speech_commands
 from model_export.evaluation.cells import small_room
 from model_export.evaluation.false_sources import isotropic_noise, sensor_noise
 from model_export.evaluation.reliability import Reliability, Reports, judged, reliability
@@ -91,18 +88,10 @@ def fitted(contrast: FloatArray, right: BoolArray) -> tuple[float, float]:
     return float(best.x[0]), float(best.x[1])
 
 
-def main(argv: Sequence[str] | None = None) -> None:
-    """Print every method's curve and how reliable it makes the confidences."""
-    parser = argparse.ArgumentParser(
-        prog="python -m model_export.evaluation.classical_confidence", description=__doc__
-    )
-    parser.add_argument("--speech", type=Path, required=True, help="folder of Speech Commands")
-    parser.add_argument("--windows", type=int, default=1800)
-    parser.add_argument("--seed", type=int, default=11)
-    arguments = parser.parse_args(argv)
-    speech = load(speech_commands(arguments.speech, "development"))
+def fitted_curves(speech: Sequence[FloatArray], count: int, seed: int) -> Iterator[str]:
+    """Every method's curve and how reliable it makes the confidences, on ``count`` windows."""
     found: dict[tuple[Method, str], list[tuple[FloatArray, Reports]]] = {}
-    for window in windows(speech, arguments.windows, arguments.seed):
+    for window in windows(speech, count, seed):
         for method, chances in CHANCES.items():
             localizer = ClassicalLocalizer(method, window.array)
             (counted,) = localizer.estimate(window.audio[None], None, MAX_SOURCES)
@@ -121,8 +110,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         right = np.array([right for _, right in reports])
         slope, middle = fitted(contrast, right)
         curve = f"slope {slope:.2f}, middle {middle:.3f}; all alike {right.mean():.2f}"
-        print(f"{method}, {kind}: {curve}")
-        print(_table(reliability(reports, arguments.windows)))
+        yield f"{method}, {kind}: {curve}"
+        yield _table(reliability(reports, count))
 
 
 def _table(found: Reliability) -> str:
@@ -134,7 +123,3 @@ def _table(found: Reliability) -> str:
         for bin_ in found.bins
     ]
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    main()

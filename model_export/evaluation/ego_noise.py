@@ -6,16 +6,14 @@ learnt from another five seconds of it.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
 from model_export import SAMPLE_RATE
-from model_export.datasets.speech import load, speech_commands
+from model_export.datasets.speech import Clip, load
 from model_export.evaluation.cells import living_room
 from model_export.evaluation.false_sources import (
     ARRAY,
@@ -49,7 +47,18 @@ NOISES: Mapping[str, Sound] = {
     "motor: all from one place, behind and below": partial(own_motor, -45.0),
     "motor: all from one place, behind": partial(own_motor, 0.0),
 }
-DOCUMENT = Path("docs/ego-noise.md")
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """How much is measured."""
+
+    scenes: int
+    snr_db: float
+    """The talker against the noise"""
+    alone_s: float
+    """Seconds of the noise alone, in which every source is false"""
+    seed: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,21 +86,19 @@ def score(
     sound: Sound,
     noise: NoiseCovariance | None,
     scenes: Sequence[SimulatedScene],
-    snr_db: float,
-    seed: int,
+    measurement: Measurement,
     registry: BundleRegistry,
-    alone_s: float,
 ) -> Score:
     """Errors on scenes with the noise and without it, and what is reported of the noise alone."""
     options = LocalizeOptions(preset(ARRAY), method=method, noise=noise)
     localizer = _localizer(options, registry)
+    level, seed = 10 ** (-measurement.snr_db / 20), measurement.seed
     noisy = [
-        scene.audio + _beside(sound, scene, 10 ** (-snr_db / 20), [seed, 1, index])
+        scene.audio + _beside(sound, scene, level, [seed, 1, index])
         for index, scene in enumerate(scenes)
     ]
-    with Recording.open(
-        noise_file(Noise("alone", sound, alone_s), options.array, seed)
-    ) as recording:
+    robot = noise_file(Noise("alone", sound, measurement.alone_s), options.array, seed)
+    with Recording.open(robot) as recording:
         alone = false_source_scores(localize_recording(recording, options, registry))
     return Score(
         _errors(localizer, noisy, scenes),
@@ -140,36 +147,22 @@ def table(rows: Sequence[tuple[Method, str, Score]]) -> str:
     )
 
 
-def document(arguments: argparse.Namespace) -> str:
-    """``docs/ego-noise.md``, measured."""
-    clips = speech_commands(arguments.speech, "heldout")
-    chosen = np.random.default_rng(arguments.seed).permutation(len(clips))[: arguments.scenes]
+def document(clips: Sequence[Clip], measurement: Measurement) -> str:
+    """``docs/ego-noise.md``, measured with talkers drawn from the clips."""
+    count, seed = measurement.scenes, measurement.seed
+    chosen = np.random.default_rng(seed).permutation(len(clips))[:count]
     speech = load([clips[index] for index in chosen])
     protocol = replace(PROTOCOL, array=ARRAY)
-    scenes = [
-        simulate_scene(protocol, speech, [arguments.seed, index])
-        for index in range(arguments.scenes)
-    ]
+    scenes = [simulate_scene(protocol, speech, [seed, index]) for index in range(count)]
     registry = BundleRegistry.load()
-    parts = [
-        HEAD.format(scenes=arguments.scenes, snr=arguments.snr, array=ARRAY, alone=arguments.alone)
-    ]
+    parts = [HEAD.format(array=ARRAY, **asdict(measurement))]
     for name, sound in NOISES.items():
-        profile = learnt(sound, arguments.seed)
+        profile = learnt(sound, seed)
         rows = [
             (
                 method,
                 "none" if noise is None else "learnt",
-                score(
-                    method,
-                    sound,
-                    noise,
-                    scenes,
-                    arguments.snr,
-                    arguments.seed,
-                    registry,
-                    arguments.alone,
-                ),
+                score(method, sound, noise, scenes, measurement, registry),
             )
             for method in METHODS
             for noise in (None, profile)
@@ -192,12 +185,13 @@ covariance per frequency; spectra and steering vectors are whitened with it, as 
 generalised eigenvalue MUSIC.
 
 Measured in simulation: {scenes} talkers 0.5 to 2 m from `{array}` in a room of 6 x 5 x 3 m with an
-RT60 of 0.3 s, windows of 1.04 s, beside a noise 10 cm behind the array's centre at {snr:g} dB SNR.
-The profile is learnt from 5 s of that noise with other random phases, speeds and air; {alone:g} s
-of it alone count the false sources (in windows and in the summary). One source is asked for in the
-columns of errors. The network tells the first of these fans from a talker without any profile.
+RT60 of 0.3 s, windows of 1.04 s, beside a noise 10 cm behind the array's centre at {snr_db:g} dB
+SNR. The profile is learnt from 5 s of that noise with other random phases, speeds and air;
+{alone_s:g} s of it alone count the false sources (in windows and in the summary). One source is
+asked for in the columns of errors. The network tells the first of these fans from a talker without
+any profile.
 
-`python -m model_export.evaluation.ego_noise --speech FOLDER` (Speech Commands) writes this page.
+`python -m model_export ego-noise --speech-commands SPEECH_COMMANDS` writes this page.
 """
 
 FOOT = """## What it costs
@@ -208,22 +202,3 @@ FOOT = """## What it costs
   frequencies alike and lose accuracy there: name the profile while the motors run, not always.
 - A profile fits one place and one kind of noise. Learn it again when a fan is moved.
 """
-
-
-def main(argv: Sequence[str] | None = None) -> None:
-    """Measure and write the page."""
-    parser = argparse.ArgumentParser(
-        prog="python -m model_export.evaluation.ego_noise", description=__doc__
-    )
-    parser.add_argument("--speech", type=Path, required=True, help="folder of Speech Commands")
-    parser.add_argument("--scenes", type=int, default=60)
-    parser.add_argument("--snr", type=float, default=0.0, help="dB, talker against the noise")
-    parser.add_argument("--alone", type=float, default=60.0, help="seconds of the noise alone")
-    parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--out", type=Path, default=DOCUMENT)
-    arguments = parser.parse_args(argv)
-    arguments.out.write_text(document(arguments))
-
-
-if __name__ == "__main__":
-    main()

@@ -13,10 +13,11 @@ from model_export.evaluation.cells import Cell, small_room
 from model_export.evaluation.drawing import axes
 from model_export.evaluation.evaluate import run
 from model_export.evaluation.methods import PEER
-from model_export.evaluation.reliability import HIT_DEG, Reliability
+from model_export.evaluation.reliability import Reliability
 from model_export.evaluation.results import Results
 from model_export.evaluation.workers import Workers
 from model_export.simulation.protocol import SceneProtocol
+from model_export.training.confidences import HIT_DEG
 
 COLOURS = {
     "any-array": "#d1495b",

@@ -6,7 +6,6 @@ to the recording or to what is said of it.
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,6 @@ import scipy.signal
 import soxr
 
 from model_export import SAMPLE_RATE
-from model_export.datasets.speech import librispeech, load
 from model_export.evaluation.cells import living_room
 from model_export.simulation.noise import unit_power
 from model_export.simulation.rooms import impulse_responses
@@ -42,7 +40,6 @@ LEVEL = 0.05
 """RMS of the microphones, of full scale"""
 LATENCY_S = 0.016
 """Of a device's own processing"""
-DOCUMENT = Path("docs/diagnostics.md")
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,20 +219,21 @@ def real_findings(folder: Path) -> dict[str, frozenset[str]]:
     return found
 
 
-def document(arguments: argparse.Namespace) -> str:
-    """``docs/diagnostics.md``, measured."""
-    speech = load(librispeech(arguments.speech, "heldout"))
-    lengths = {seconds: talks(speech, seconds, arguments.seed) for seconds in arguments.seconds}
+def document(
+    speech: Sequence[FloatArray], seconds: Sequence[float], seed: int, recordings: Path | None
+) -> str:
+    """``docs/diagnostics.md``, measured on recordings of these lengths."""
+    lengths = {length: talks(speech, length, seed) for length in seconds}
     rows = [
         row(mistake, [[codes(mistake, talk) for talk in each] for each in lengths.values()])
         for mistake in MISTAKES
     ]
-    columns = " | ".join(f"{seconds:g} s" for seconds in lengths)
+    columns = " | ".join(f"{length:g} s" for length in lengths)
     head = f"| mistake | {columns} | findings |\n|---|{'---|' * len(lengths)}---|"
     count = sum(len(each) for each in lengths.values()) // len(lengths)
     parts = [HEAD.format(array=ARRAY, rt60=RT60, snr=SNR_DB, count=count), head, *rows]
-    if arguments.recordings:
-        real = real_findings(arguments.recordings)
+    if recordings:
+        real = real_findings(recordings)
         false = {name: sorted(found) for name, found in real.items() if found}
         parts.append(
             f"\nOf {len(real)} real recordings of this array "
@@ -252,7 +250,7 @@ is wrong. Measured in simulation: LibriSpeech talkers of speakers that no model 
 an RT60 of {rt60:g} s; {count} recordings of each length: in eight of them a talker stands in one of
 eight directions, in the others one walks round all of them. One mistake is made at a time.
 
-`python -m model_export.evaluation.mistakes --speech FOLDER` (LibriSpeech) writes this page.
+`python -m model_export mistakes --librispeech LIBRISPEECH` writes this page.
 """
 
 FOOT = """
@@ -269,21 +267,3 @@ A smaller array hears smaller delays, and so does an array of the right size fro
 reverberation, which comes from everywhere; without any (outdoors), or beside a loud fan, nothing is
 said.
 """
-
-
-def main(argv: Sequence[str] | None = None) -> None:
-    """Measure and write the page."""
-    parser = argparse.ArgumentParser(
-        prog="python -m model_export.evaluation.mistakes", description=__doc__
-    )
-    parser.add_argument("--speech", type=Path, required=True, help="folder of LibriSpeech")
-    parser.add_argument("--recordings", type=Path, help="real recordings of the array, correct")
-    parser.add_argument("--seconds", type=float, nargs="+", default=[10.0, 30.0])
-    parser.add_argument("--seed", type=int, default=3)
-    parser.add_argument("--out", type=Path, default=DOCUMENT)
-    arguments = parser.parse_args(argv)
-    arguments.out.write_text(document(arguments))
-
-
-if __name__ == "__main__":
-    main()

@@ -16,25 +16,13 @@ import numpy as np
 from model_export.evaluation.cells import small_room
 from model_export.evaluation.workers import Inputs, Workers
 from model_export.simulation.protocol import SceneProtocol, SimulatedScene, simulate_scene
+from model_export.training.confidences import HIT_DEG, Bin, calibration_error, confidence_bins
 from service.doa.scoring import match
-from service.doa.types import BoolArray, FloatArray
+from service.doa.types import FloatArray
 from service.inference.results import MAX_SOURCES, Source
 
-HIT_DEG = 10.0
-NUM_BINS = 10
 Reports = list[tuple[float, bool]]
 """Confidence of every reported source and whether it is right"""
-
-
-@dataclass(frozen=True, slots=True)
-class Bin:
-    """The reported sources whose confidences lie in one interval."""
-
-    low: float
-    high: float
-    sources: int
-    mean_confidence: float
-    share_right: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,30 +111,3 @@ def reliability(reports: Reports, scenes: int) -> Reliability:
     right = np.array([right for _, right in reports], dtype=bool)
     bins = confidence_bins(confidence, right)
     return Reliability(scenes, calibration_error(bins), bins)
-
-
-def confidence_bins(confidence: FloatArray, right: BoolArray) -> list[Bin]:
-    """Bins of confidences (K,) in [0, 1] with the truth (K,), empty ones left out."""
-    index = np.minimum((confidence * NUM_BINS).astype(int), NUM_BINS - 1)
-    return [
-        Bin(
-            low=round(float(bin_ / NUM_BINS), 6),
-            high=round(float((bin_ + 1) / NUM_BINS), 6),
-            sources=int((index == bin_).sum()),
-            mean_confidence=float(confidence[index == bin_].mean()),
-            share_right=float(right[index == bin_].mean()),
-        )
-        for bin_ in np.unique(index)
-    ]
-
-
-def calibration_error(bins: Sequence[Bin]) -> float:
-    """Expected calibration error, in [0, 1]; 0 where nothing was reported.
-
-    References
-    ----------
-    Guo, Pleiss, Sun, Weinberger, 2017, On calibration of modern neural networks, eq. (3).
-    """
-    total = sum(bin_.sources for bin_ in bins)
-    gaps = [bin_.sources * abs(bin_.mean_confidence - bin_.share_right) for bin_ in bins]
-    return float(sum(gaps) / total) if total else 0.0

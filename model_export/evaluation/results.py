@@ -12,7 +12,7 @@ from model_export.datasets.speech import Split
 from model_export.evaluation.bars import bars_section
 from model_export.evaluation.methods import PEER
 from model_export.evaluation.reliability import Reliability
-from model_export.experiments.report import kept_section
+from model_export.evaluation.sections import kept_section, renew
 
 SPLIT_WORDS: Mapping[Split, str] = {
     "train": "training",
@@ -40,7 +40,6 @@ README_CELLS = (
     "M=1, 10x8x3.5 m, RT60 0.6 s",
     "M=1, order 4, 6-mic circular",
 )
-BEGIN, END = "<!-- results: begin -->", "<!-- results: end -->"
 PREFACE = """# Results
 
 Written by `python -m model_export evaluate` (`docs/training.md` has the whole command);
@@ -106,7 +105,7 @@ class Results:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "results.json").write_text(json.dumps(asdict(self), indent=1) + "\n")
         document = folder / "results.md"
-        comparison = kept_section(document)
+        comparison = kept_section(document, "comparison")
         document.write_text("\n".join(filter(None, [self.document(), comparison])))
 
     def document(self) -> str:
@@ -141,9 +140,9 @@ class Results:
         """What stands between the README's markers."""
         table = self.table("maae_deg", README_CELLS, ["any-array", PEER, "srp_phat"])
         return (
-            f"{BEGIN}\nMean absolute angular error in degrees, {self.scenes} simulated scenes "
+            f"Mean absolute angular error in degrees, {self.scenes} simulated scenes "
             "a row, held-out speakers, the\nnumber of talkers known. None of these arrays was in "
-            f"the training; the paper's room, in the rows\nwith an order, was:\n\n{table}{END}"
+            f"the training; the paper's room, in the rows\nwith an order, was:\n\n{table}"
         )
 
     def bundle_scores(self, name: str) -> dict[str, Any]:
@@ -165,6 +164,4 @@ def _has(found: Mapping[str, Mapping[str, float]], score: str) -> bool:
 
 def update_readme(path: Path, results: Results) -> None:
     """Put the results into the README between its markers."""
-    text = path.read_text()
-    before, after = text.split(BEGIN)[0], text.split(END)[1]
-    path.write_text(before + results.readme_block() + after)
+    renew(path, "results", results.readme_block())

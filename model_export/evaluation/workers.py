@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from types import TracebackType
 from typing import Self, TypeVar
 
 from rich.progress import track
@@ -34,29 +34,23 @@ class Inputs:
 class Workers:
     """A number of processes with one thread each; a single one is this process itself."""
 
-    def __init__(self, inputs: Inputs, count: int = 1) -> None:
-        self.inputs = inputs
-        self._count = count
+    def __init__(self, inputs: Inputs, pool: ProcessPoolExecutor | None, count: int) -> None:
+        self.inputs, self._pool, self._count = inputs, pool, count
+
+    @classmethod
+    @contextmanager
+    def start(cls, inputs: Inputs, count: int = 1) -> Iterator[Self]:
+        """So many workers, which end with the context."""
+        if count == 1:
+            yield cls(inputs, None, count)
+            return
         # Not forked: numpy in a fresh process reads its number of threads from the environment.
-        self._pool = (
-            ProcessPoolExecutor(
-                count, multiprocessing.get_context("spawn"), initializer=_begin, initargs=(inputs,)
-            )
-            if count > 1
-            else None
-        )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if self._pool:
-            self._pool.shutdown(cancel_futures=True)
+        spawn = multiprocessing.get_context("spawn")
+        pool = ProcessPoolExecutor(count, spawn, initializer=_begin, initargs=(inputs,))
+        try:
+            yield cls(inputs, pool, count)
+        finally:
+            pool.shutdown(cancel_futures=True)
 
     def map(
         self, run: Callable[[Inputs, TaskT], ResultT], tasks: Sequence[TaskT], description: str

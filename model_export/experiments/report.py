@@ -8,9 +8,8 @@ from typing import Any
 
 from model_export.experiments.outcome import Outcome
 
-BEGIN, END = "<!-- comparison: begin -->", "<!-- comparison: end -->"
-FOLDER = "comparison"
-"""Of the figures and the JSON file, in docs"""
+FOLDER = SECTION = "comparison"
+"""The folder of the figures and the JSON file in docs, and the section of results.md"""
 PREFACE = """## The paper's comparison
 
 Every table and figure of NeuralMUSIC (arXiv 2606.18664) with every method that it compares or
@@ -50,25 +49,7 @@ def section(docs: Path, order: list[str], scale: dict[str, Any]) -> str:
             + Outcome.from_dict(fields).markdown()
             + "\n"
         )
-    return f"{BEGIN}\n" + "\n".join(parts) + f"{END}\n"
-
-
-def renew(document: Path, text: str) -> None:
-    """Put the section between the document's markers, or at its end."""
-    old = document.read_text() if document.exists() else ""
-    if BEGIN in old:
-        before, after = old.split(BEGIN)[0], old.split(END)[1].removeprefix("\n")
-    else:
-        before, after = old.rstrip("\n") + "\n\n" if old else "", ""
-    document.write_text(before + text + after)
-
-
-def kept_section(document: Path) -> str:
-    """The section with its markers, as it stands in a document; empty where there is none."""
-    old = document.read_text() if document.exists() else ""
-    if BEGIN not in old:
-        return ""
-    return BEGIN + old.split(BEGIN)[1].split(END)[0] + END + "\n"
+    return "\n".join(parts)
 
 
 def _read(docs: Path) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from model_export.baselines.network import MAX_SOURCES
+from model_export.baselines.network import MAX_TALKERS
 from model_export.datasets.speech import Split
 from model_export.evaluation.methods import Methods
 from model_export.evaluation.workers import Inputs, Workers
@@ -43,7 +43,7 @@ class SceneSet:
     audio: FloatArray
     """(S, N, T) float16 at 16 kHz with a peak of 1, on disk until it is read"""
     azimuth: FloatArray
-    """(S, MAX_SOURCES) radians, NaN behind a scene's sources"""
+    """(S, MAX_TALKERS) radians, NaN behind a scene's sources"""
     array: MicrophoneArray
 
     def __len__(self) -> int:
@@ -86,19 +86,19 @@ class SceneSet:
         Raises
         ------
         ValueError
-            If there is no scene, or one with more than ``MAX_SOURCES`` sources.
+            If there is no scene, or one with more than ``MAX_TALKERS`` sources.
         """
         folder.mkdir(parents=True, exist_ok=True)
         azimuth = []
         with (folder / "audio.f16").open("wb") as file:
             for samples, sources in scenes:
-                if len(sources) > MAX_SOURCES:
+                if len(sources) > MAX_TALKERS:
                     raise ValueError(
                         f"a window with {len(sources)} sources: the comparison has at most "
-                        f"{MAX_SOURCES}"
+                        f"{MAX_TALKERS}"
                     )
                 _half_precision(samples).tofile(file)
-                missing = MAX_SOURCES - len(sources)
+                missing = MAX_TALKERS - len(sources)
                 azimuth.append(np.pad(sources, (0, missing), constant_values=np.nan))
         if not azimuth:
             raise ValueError(f"{folder.name}: no scene has a known direction")
@@ -117,7 +117,7 @@ def is_whole(folder: Path) -> bool:
 
 def simulated(folder: Path, recipe: Recipe, speech: Sequence[FloatArray], workers: int) -> SceneSet:
     """The recipe's scenes, simulated and written."""
-    with Workers(Inputs(Methods(()), speech, recipe.seed), workers) as pool:
+    with Workers.start(Inputs(Methods(()), speech, recipe.seed), workers) as pool:
         parts = (
             pool.map(
                 _simulate,

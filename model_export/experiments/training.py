@@ -19,8 +19,7 @@ from model_export.experiments.scene_set import SceneSet
 from model_export.simulation.scenes import Scene
 from model_export.training.config import PAPER_SSCL
 from model_export.training.fitting import Fitting, checkpoint
-from model_export.training.sscl import SsclTask
-from model_export.training.train import on
+from model_export.training.sscl import SsclTask, collate_masked
 from service.doa.types import FloatArray
 
 Track = Literal["cited", "matched"]
@@ -123,8 +122,8 @@ def pretrain(
     while fitting.step < steps:
         rng = np.random.default_rng([seed, 2, fitting.step])
         chosen = np.sort(rng.choice(len(scenes), size, replace=False))
-        batch = task.collate(rng, [_unlabelled(scenes, int(index)) for index in chosen])
-        fitting.optimize(task.losses(on(device, batch))["loss"])
+        batch = collate_masked(rng, [_unlabelled(scenes, int(index)) for index in chosen])
+        fitting.optimize(task.losses(batch.to(device))["loss"])
         progress(fitting.step, steps, fitting.running)
 
 

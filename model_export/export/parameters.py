@@ -11,13 +11,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import nn
 
 from model_export.training.config import TrainingConfig
 from model_export.training.counting import CandidateCountNetwork
-from model_export.training.task import Task, task_of
+from model_export.training.task import Task
+from model_export.training.variants import task_of
 from service.doa.types import FloatArray
 from service.inference.bundle import PARAMETERS, Bundle, read_arrays
 
@@ -27,7 +29,7 @@ class TrainedModel:
     """A bundle's networks as training has them, in evaluation mode."""
 
     config: TrainingConfig
-    task: Task
+    task: Task[Any]
     source_count: CandidateCountNetwork | None
     """Of the `weights` variant; `regression` counts inside of its model"""
 

@@ -11,7 +11,7 @@ import torch
 
 from model_export.export.bundle import ExportGraph, golden_windows, stft_section, write_bundle
 from model_export.export.parameters import parameter_arrays
-from model_export.training.networks import MAX_SOURCES, NUM_BINS, NUM_FRAMES
+from model_export.training.networks import NUM_BINS, NUM_FRAMES
 from model_export.training.regression import RegressionPipeline, RegressionTask
 from model_export.training.subspace import delay_products
 from model_export.training.task import STFT, steering_delays
@@ -20,6 +20,7 @@ from service.doa.spectrogram import spectrogram_features
 from service.doa.steering import azimuth_grid
 from service.doa.types import FloatArray
 from service.inference.manifest import Manifest
+from service.inference.results import MAX_SOURCES
 
 GRID_SIZE = 360
 PARITY_WINDOWS = 4

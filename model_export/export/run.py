@@ -12,11 +12,11 @@ from model_export.export.bundle_place import check_replaceable, in_the_place_of
 from model_export.export.parameters import source_count_of
 from model_export.export.regression import export_regression
 from model_export.export.weights import candidate_search, export_weights
-from model_export.simulation.scenes import RoomBank
+from model_export.simulation.room_bank import RoomBank
 from model_export.training.counting import CandidateCountNetwork, collect, train_counting
 from model_export.training.regression import RegressionTask
-from model_export.training.task import WeightsTask
 from model_export.training.train import load_run
+from model_export.training.weights_task import WeightsTask
 from service.doa.types import FloatArray
 from service.inference.bundle import read_manifest
 from service.inference.manifest import Manifest

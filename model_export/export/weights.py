@@ -18,7 +18,7 @@ from model_export.export.bundle import (
 )
 from model_export.export.parameters import parameter_arrays
 from model_export.export.stream_graph import stream_graph
-from model_export.training.counting import MAX_SOURCES, CandidateCountNetwork
+from model_export.training.counting import CandidateCountNetwork
 from model_export.training.subspace import delay_products
 from model_export.training.task import STFT, steering_delays
 from model_export.training.weights import KEPT_SHARE, WINDOW_SHARE, WeightsPipeline
@@ -31,6 +31,7 @@ from service.inference.candidates import NUM_CANDIDATES
 from service.inference.descriptors import NUM_DESCRIPTORS
 from service.inference.engine import Engine
 from service.inference.manifest import Manifest
+from service.inference.results import MAX_SOURCES
 from service.inference.weights import Analysis, CandidateSearch
 
 FIRST_BIN = 1

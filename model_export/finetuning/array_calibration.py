@@ -34,7 +34,7 @@ class ArrayCalibration(nn.Module):
         self.offsets = nn.Parameter(torch.zeros_like(self.nominal))
 
     def delays(self, azimuth: Tensor) -> Tensor:
-        """``tasks.steering_delays`` (N, A) in seconds at azimuths (A,), differentiable."""
+        """``training.task.steering_delays`` (N, A) in seconds at azimuths (A,), differentiable."""
         positions = self.nominal + self.offsets @ self.allowed
         centred = positions - positions.mean(0)
         directions = torch.stack([azimuth.cos(), azimuth.sin(), torch.zeros_like(azimuth)])

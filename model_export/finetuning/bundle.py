@@ -12,7 +12,8 @@ from model_export.export.regression import export_regression
 from model_export.export.weights import export_weights
 from model_export.finetuning.labelled_recordings import LabelledRecording
 from model_export.training.regression import RegressionTask
-from model_export.training.task import STFT, WeightsTask
+from model_export.training.task import STFT
+from model_export.training.weights_task import WeightsTask
 from service.doa.array import MicrophoneArray
 from service.inference.manifest import Manifest
 

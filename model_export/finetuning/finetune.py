@@ -35,10 +35,12 @@ from model_export.finetuning.heldout import (
 )
 from model_export.finetuning.labelled_recordings import LabelledRecording
 from model_export.finetuning.labelled_scenes import Augmentation, LabelledScenes
-from model_export.simulation.scenes import RoomBank
+from model_export.simulation.room_bank import RoomBank
 from model_export.training.regression import RegressionTask
 from model_export.training.scene_stream import SceneStream, SimulatedScenes
 from model_export.training.task import Batch, Task
+from model_export.training.variants import collate
+from model_export.training.weights_task import WeightsBatch
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 from service.inference.bundle import Bundle, load_bundle
@@ -185,8 +187,9 @@ def train(
             if simulated is None or recorded:
                 batch = _batch(rng, model, scenes, settings)
                 if calibration is not None:
-                    delays = calibration.delays(batch["grid"])
-                    batch["delays"] = delays.expand(settings.batch_size, -1, -1)
+                    assert isinstance(batch, WeightsBatch)
+                    delays = calibration.delays(batch.grid).expand(settings.batch_size, -1, -1)
+                    batch = replace(batch, delays=delays)
             else:
                 batch = next(simulated)
             loss = _finite_loss(model.task, batch)
@@ -199,7 +202,7 @@ def train(
     return losses, array if calibration is None else calibration.array()
 
 
-def _finite_loss(task: Task, batch: Batch) -> Tensor:
+def _finite_loss(task: Task[Any], batch: Batch) -> Tensor:
     diverged = "the training diverged: take a smaller --learning-rate"
     try:
         loss = task.losses(batch)["loss"]
@@ -217,7 +220,7 @@ def learning_rate(model: TrainedModel, settings: FineTuning) -> float:
     return settings.learning_rate
 
 
-def trained_parameters(task: Task, rate: float) -> list[nn.Parameter]:
+def trained_parameters(task: Task[Any], rate: float) -> list[nn.Parameter]:
     """What fine-tuning changes at a learning rate; everything else no longer asks for gradients.
 
     At none nothing of the network does, which spares the larger part of every step.
@@ -250,4 +253,4 @@ def _batch(
         scenes.draw(rng, settings.augmentation, model.config.scenes)
         for _ in range(settings.batch_size)
     ]
-    return model.task.collate(rng, drawn)
+    return collate(model.config, rng, drawn)

@@ -9,7 +9,8 @@ from rich.progress import track
 
 from model_export.finetuning.labelled_recordings import LabelledRecording
 from model_export.finetuning.labelled_scenes import LabelledScenes
-from model_export.simulation.scenes import Scene, SceneConfig
+from model_export.simulation.scene_config import SceneConfig
+from model_export.simulation.scenes import Scene
 from service.doa.array import MicrophoneArray
 from service.doa.scoring import evaluate
 from service.inference.bundle import Bundle

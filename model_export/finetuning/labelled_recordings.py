@@ -11,7 +11,7 @@ from rich.progress import track
 
 from model_export.finetuning.labels import Segment, Talker, read_labels, segments
 from model_export.simulation.scenes import WINDOW_SAMPLES
-from model_export.training.task import MAX_SOURCES, STFT
+from model_export.training.task import STFT
 from service.cli.inputs import open_recording, read_channel_map
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics import ChannelDiagnostics, Finding
@@ -20,6 +20,7 @@ from service.doa.mirror import into_searched_half
 from service.doa.types import BoolArray, FloatArray, IntArray
 from service.errors import DoaError
 from service.inference.geometry import choose_channels
+from service.inference.results import MAX_SOURCES
 
 FRAME_SAMPLES = 512
 """Step of the level gate, 32 ms"""

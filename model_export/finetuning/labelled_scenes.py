@@ -18,7 +18,8 @@ from model_export.finetuning.labelled_recordings import (
     LabelledWindows,
 )
 from model_export.simulation.noise import sensor_noise, unit_power
-from model_export.simulation.scenes import WINDOW_SAMPLES, Scene, SceneConfig
+from model_export.simulation.scene_config import SceneConfig
+from model_export.simulation.scenes import WINDOW_SAMPLES, Scene
 from service.doa.array import MicrophoneArray
 from service.doa.scoring import circular_error
 from service.doa.types import FloatArray

@@ -18,6 +18,7 @@ from rich.progress import track
 
 from model_export import SAMPLE_RATE
 from model_export.simulation.arrays import random_array
+from model_export.simulation.room_bank import RoomChunk
 from service.doa.array import SPEED_OF_SOUND
 from service.doa.steering import unit_vectors
 from service.doa.types import FloatArray
@@ -31,7 +32,6 @@ SOURCES_PER_ROOM = 4
 NOISE_SAMPLES = 16640
 NUM_WAVES = 48
 """Plane waves of a diffuse field"""
-CHUNK_KEYS = ("responses", "positions", "azimuth", "elevation", "distance", "diffuse", "room")
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,48 +195,59 @@ def superpose(positions: FloatArray, directions: FloatArray, signals: FloatArray
     return noise.astype(np.float32)
 
 
-def simulate_chunk(seed: int) -> dict[str, FloatArray]:
-    """Responses of ``CHUNK_ROOMS`` random rooms whose arrays share one microphone count.
-
-    Returns
-    -------
-    chunk : dict
-        ``responses`` (R, S, N, T) float16 scaled to a maximum of 1, ``positions`` (R, N, 3) as
-        nominal (the responses were made with a jitter of 1 mm), ``azimuth``, ``elevation``,
-        ``distance`` (R, S), ``diffuse`` (R, N, T') float16, ``room`` (R, 8): size, centre, image
-        order (-1: RT60 instead) and RT60.
-    """
+def simulate_chunk(seed: int) -> RoomChunk:
+    """``CHUNK_ROOMS`` random rooms whose arrays share one microphone count."""
     rng = np.random.default_rng([seed, 20260])
     microphones = int(rng.choice([3, 4, 4, 4, 5, 6, 6, 7, 8]))
-    chunk: dict[str, list[FloatArray]] = {key: [] for key in CHUNK_KEYS}
+    simulated, diffuse = [], []
     for _ in range(CHUNK_ROOMS):
         array = random_array(rng, microphones)
-        room = random_room(rng)
-        sources, azimuth, elevation, distance = place_sources(rng, room, SOURCES_PER_ROOM)
-        jittered = array.positions + rng.normal(scale=0.001, size=array.positions.shape)
-        responses = impulse_responses(room, jittered, sources, longest=RESPONSE_SAMPLES)
-        peaks = np.abs(responses).max(axis=(1, 2), keepdims=True)
-        chunk["responses"].append((responses / peaks).astype(np.float16))
-        chunk["positions"].append(array.positions)
-        chunk["azimuth"].append(azimuth)
-        chunk["elevation"].append(elevation)
-        chunk["distance"].append(distance)
-        chunk["diffuse"].append(
-            (0.1 * diffuse_noise(rng, jittered, NOISE_SAMPLES)).astype(np.float16)
-        )
-        order = -1 if room.max_order is None else room.max_order
-        chunk["room"].append(np.array([*room.size, *room.centre, order, room.rt60 or 0.0]))
-    return {key: np.stack(values) for key, values in chunk.items()}
+        jittered, room = simulate_room(rng, random_room(rng), array.positions, RESPONSE_SAMPLES)
+        simulated.append(room)
+        diffuse.append(diffuse_field(rng, jittered))
+    return chunk_of(simulated, diffuse)
+
+
+def simulate_room(
+    rng: np.random.Generator,
+    room: RoomSpec,
+    positions: FloatArray,
+    longest: int,
+    highest_order: int = MAX_ORDER,
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """The array's real positions (N, 3), and what a ``RoomChunk`` holds of the room but noise."""
+    sources, azimuth, elevation, distance = place_sources(rng, room, SOURCES_PER_ROOM)
+    jittered = positions + rng.normal(scale=0.001, size=positions.shape)
+    responses = impulse_responses(
+        room, jittered, sources, longest=longest, highest_order=highest_order
+    )
+    peaks = np.abs(responses).max(axis=(1, 2), keepdims=True)
+    order = -1 if room.max_order is None else room.max_order
+    return jittered, {
+        "responses": (responses / peaks).astype(np.float16),
+        "positions": positions,
+        "azimuth": azimuth,
+        "elevation": elevation,
+        "distance": distance,
+        "room": np.array([*room.size, *room.centre, order, room.rt60 or 0.0]),
+    }
+
+
+def diffuse_field(rng: np.random.Generator, positions: FloatArray) -> FloatArray:
+    """A room's ``RoomChunk.diffuse``, (N, T) float16."""
+    return (0.1 * diffuse_noise(rng, positions, NOISE_SAMPLES)).astype(np.float16)
+
+
+def chunk_of(rooms: Sequence[dict[str, FloatArray]], diffuse: Sequence[FloatArray]) -> RoomChunk:
+    """The chunk of rooms from ``simulate_room``, each with a diffuse field."""
+    stacked = {key: np.stack([room[key] for room in rooms]) for key in rooms[0]}
+    return RoomChunk(**stacked, diffuse=np.stack(diffuse))
 
 
 def _write_chunk(folder: Path, seed: int) -> None:
     path = folder / f"{seed:05d}.npz"
-    if path.exists():
-        return
-    chunk = simulate_chunk(seed)
-    unfinished = path.with_suffix(".part.npz")
-    np.savez(unfinished, **chunk)  # type: ignore[arg-type]
-    unfinished.rename(path)
+    if not path.exists():
+        simulate_chunk(seed).write(path)
 
 
 def write_room_bank(folder: Path, num_chunks: int, *, workers: int = 1) -> None:

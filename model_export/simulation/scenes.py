@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import scipy.fft
@@ -24,6 +23,8 @@ from model_export.simulation.noise import (
     shaped_like,
     unit_power,
 )
+from model_export.simulation.room_bank import RoomChunk
+from model_export.simulation.scene_config import SceneConfig
 from service.doa.array import SPEED_OF_SOUND
 from service.doa.scoring import circular_error
 from service.doa.types import FloatArray
@@ -41,33 +42,6 @@ LATE = (0.3, 0.95)
 """Of the window: where talkers begin in it"""
 ONSET_LEVEL = 0.1
 """Of a clip's peak: where its sound begins"""
-
-
-@dataclass(frozen=True, slots=True)
-class SceneConfig:
-    """What a training scene may hold; probabilities unless said otherwise."""
-
-    source_counts: tuple[float, ...] = (0.0, 0.55, 0.35, 0.10)
-    """Probability of 0, 1, 2, ... talkers"""
-    min_separation: float = np.deg2rad(12.0)
-    """Radians between talkers"""
-    snr_db: tuple[float, float] = (-5.0, 35.0)
-    """Signal-to-noise ratio against all noise, uniform"""
-    level_difference_db: float = 3.0
-    """Talkers differ by up to this much"""
-    position_error: float = 0.0015
-    """Metres, standard deviation of the microphones against their nominal places"""
-    diffuse: float = 0.5
-    recorded: float = 0.4
-    """Of the diffuse noises, where recordings are given"""
-    coupled: float = 0.15
-    machine: float = 0.15
-    """A fan at one place, which is no talker; more often where nobody talks"""
-    crosstalk: float = 0.15
-    band_limit: float = 0.12
-    quantised: float = 0.2
-    late: float = 0.0
-    """All talkers begin inside the window, as a stream hears them first"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,45 +75,27 @@ class Scene:
         )
 
 
-class RoomBank:
-    """Chunks of simulated rooms on disk (``rooms.write_room_bank``), drawn one at a time."""
-
-    def __init__(self, folder: Path, *, validation: bool = False) -> None:
-        paths = sorted(p for p in folder.glob("*.npz") if not p.name.endswith(".part.npz"))
-        # One chunk in twenty only validates; a bank of fewer, as tests make, does both with all.
-        if len(paths) >= 20:
-            paths = [p for p in paths if (int(p.stem) % 20 == 19) == validation]
-        self.paths = paths
-        if not self.paths:
-            raise FileNotFoundError(f"no room chunks in {folder}: run 'model_export rooms' first")
-
-    def chunk(self, rng: np.random.Generator) -> dict[str, FloatArray]:
-        """One whole chunk; its rooms share the microphone count."""
-        with np.load(self.paths[rng.integers(len(self.paths))]) as arrays:
-            return {key: arrays[key] for key in arrays.files}
-
-
 def draw_scene(
     rng: np.random.Generator,
-    chunk: dict[str, FloatArray],
+    chunk: RoomChunk,
     speech: Sequence[FloatArray],
     config: SceneConfig,
     *,
     noises: Sequence[FloatArray] = (),
 ) -> Scene:
     """A random scene in a random room of the chunk; ``noises`` are steady mono recordings."""
-    room = int(rng.integers(len(chunk["positions"])))
-    positions = chunk["positions"][room]
+    room = int(rng.integers(len(chunk.positions)))
+    positions = chunk.positions[room]
     count = int(rng.choice(len(config.source_counts), p=config.source_counts))
-    chosen = _separated(rng, chunk["azimuth"][room], count, config.min_separation)
+    chosen = _separated(rng, chunk.azimuth[room], count, config.min_separation)
     start = int(rng.integers(0, DRY_SAMPLES - WINDOW_SAMPLES))
     late = config.late > 0 and rng.random() < config.late
     begins = start + round(float(rng.uniform(*LATE)) * WINDOW_SAMPLES) if late else 0
     audio = np.zeros((len(positions), WINDOW_SAMPLES), dtype=np.float32)
     direct = np.zeros((len(chosen), WINDOW_SAMPLES), dtype=np.float32)
     for rank, source in enumerate(chosen):
-        responses = chunk["responses"][room, source].astype(np.float32)
-        first = direct_response(responses[0], float(chunk["distance"][room, source]))
+        responses = chunk.responses[room, source].astype(np.float32)
+        first = direct_response(responses[0], float(chunk.distance[room, source]))
         dry = late_speech(rng, speech, begins) if late else dry_speech(rng, speech, start)
         wet = convolve(dry, np.concatenate([responses, first[None]]))
         level = 10 ** (rng.uniform(-1, 1) * config.level_difference_db / 40)
@@ -152,7 +108,7 @@ def draw_scene(
     heard = audio[0].copy()
     audio = _imperfections(rng, audio, config)
     error = rng.normal(scale=config.position_error * rng.random(), size=positions.shape)
-    return Scene(audio, positions + error, chunk["azimuth"][room, chosen], direct, heard)
+    return Scene(audio, positions + error, chunk.azimuth[room, chosen], direct, heard)
 
 
 def direct_response(response: FloatArray, distance: float) -> FloatArray:
@@ -216,17 +172,17 @@ def _separated(
 
 def _noise(
     rng: np.random.Generator,
-    chunk: dict[str, FloatArray],
+    chunk: RoomChunk,
     room: int,
     chosen: Sequence[int],
     config: SceneConfig,
     noises: Sequence[FloatArray],
 ) -> FloatArray:
     """Unit-power mixture of sensor, diffuse, coupled and machine noise, (N, T)."""
-    shape = chunk["diffuse"][room].shape
+    shape = chunk.diffuse[room].shape
     mixture = sensor_noise(rng, shape) * np.float32(rng.uniform(0.05, 1))
     if rng.random() < config.diffuse:
-        diffuse = np.roll(chunk["diffuse"][room], int(rng.integers(shape[1])), axis=1)
+        diffuse = np.roll(chunk.diffuse[room], int(rng.integers(shape[1])), axis=1)
         diffuse = diffuse.astype(np.float32)
         if noises and rng.random() < config.recorded:
             diffuse = shaped_like(diffuse, excerpt(rng, noises, shape[1]))
@@ -236,10 +192,10 @@ def _noise(
     if rng.random() < config.coupled:
         mixture += coupled_noise(rng, shape) * np.float32(rng.uniform(0.05, 0.7))
     mixture = unit_power(mixture)
-    free = np.setdiff1d(np.arange(len(chunk["azimuth"][room])), chosen)
+    free = np.setdiff1d(np.arange(len(chunk.azimuth[room])), chosen)
     if len(free) and rng.random() < (config.machine if len(chosen) else 4 * config.machine):
         steady = random_fan(rng, DRY_SAMPLES)
-        responses = chunk["responses"][room, rng.choice(free)].astype(np.float32)
+        responses = chunk.responses[room, rng.choice(free)].astype(np.float32)
         machine = convolve(steady, responses)[:, DRY_SAMPLES - shape[1] : DRY_SAMPLES]
         mixture = unit_power(mixture + unit_power(machine) * np.float32(rng.uniform(0.3, 3)))
     return mixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
-from model_export.simulation.scenes import SceneConfig
+from model_export.simulation.scene_config import SceneConfig
 from service.doa.spectrogram import PhaseReference
 
 Variant = Literal["weights", "regression", "sscl"]

@@ -17,17 +17,19 @@ from rich.progress import track
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
-from model_export.evaluation.reliability import HIT_DEG, calibration_error, confidence_bins
-from model_export.simulation.scenes import WINDOW_SAMPLES, RoomBank, Scene, SceneConfig, draw_scene
+from model_export.simulation.room_bank import RoomBank
+from model_export.simulation.scene_config import SceneConfig
+from model_export.simulation.scenes import WINDOW_SAMPLES, Scene, draw_scene
+from model_export.training.confidences import HIT_DEG, calibration_error, confidence_bins
 from model_export.training.task import SHORT_SAMPLES
 from service.doa.array import MicrophoneArray
 from service.doa.scoring import circular_error
 from service.doa.types import FloatArray
 from service.inference.candidates import NUM_CANDIDATES
 from service.inference.descriptors import NUM_DESCRIPTORS
+from service.inference.results import MAX_SOURCES
 from service.inference.weights import CandidateSearch
 
-MAX_SOURCES = 4
 SHORT_WINDOWS = 0.4
 """Share of the scenes that are cut to half a second or more"""
 BEGINNINGS = 3

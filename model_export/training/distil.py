@@ -6,25 +6,16 @@ is a target. What the teacher was trained for, the spectra, is left to a short s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Any
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from model_export.simulation.scenes import Scene
 from model_export.training.precision import training_precision
-from model_export.training.task import (
-    STFT,
-    Batch,
-    Task,
-    WeightsTask,
-    direct_share,
-    known_cross_entropy,
-)
+from model_export.training.task import Task
 from model_export.training.weights import WeightsNetwork
-from service.doa.features import coherence_features, unit_vectors_and_power
+from model_export.training.weights_task import CellBatch, WeightsTask, known_cross_entropy
 
 LEAST_IMPORTANCE = 0.2
 """Of a cell that the teacher ignores, against 1 of a mean one: it might be attended to elsewhere"""
@@ -39,7 +30,7 @@ class DistilTask(WeightsTask):
 
     _teacher: WeightsNetwork | None = None
 
-    def start_from(self, start: Task) -> None:
+    def start_from(self, start: Task[Any]) -> None:
         """Learn from it, and take all its parameters behind the convolutions that look ahead."""
         assert isinstance(start, WeightsTask)
         taught, teaching = self.model.network, start.model.network
@@ -55,19 +46,10 @@ class DistilTask(WeightsTask):
         taught.blocks[behind[0]].load_state_dict(teaching.blocks[behind[1]].state_dict())
         self._teacher = start.model.network.eval().requires_grad_(False)
 
-    def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch:
-        scenes = self.cut(rng, scenes)
-        spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))[:, :, 1:]
-        shares = np.stack([direct_share(scene) for scene in scenes])
-        return {
-            "features": torch.from_numpy(coherence_features(*unit_vectors_and_power(spectra))),
-            "direct_share": torch.from_numpy(shares),
-        }
-
-    def losses(self, batch: Batch) -> dict[str, Tensor]:
+    def losses(self, batch: CellBatch) -> dict[str, Tensor]:
         assert self._teacher is not None
         network = self.model.network
-        features = batch["features"].transpose(2, 3).contiguous(memory_format=torch.channels_last)
+        features = batch.features.transpose(2, 3).contiguous(memory_format=torch.channels_last)
         with training_precision(features, training=self.model.training):
             hidden = network.hidden(features)
             weights, attention = network.cells(hidden)
@@ -87,12 +69,12 @@ class DistilTask(WeightsTask):
             "weights": weight_loss,
             "attention": divergence.sum((1, 2)).mean(),
             "scale": (total / taught_total).log().square().mean(),
-            "share": known_cross_entropy(share.float(), batch["direct_share"].transpose(1, 2)),
+            "share": known_cross_entropy(share.float(), batch.direct_share.transpose(1, 2)),
         }
         loss = losses["weights"] + losses["attention"] + SCALE_WEIGHT * losses["scale"]
         return {"loss": loss + SHARE_WEIGHT * losses["share"], **losses}
 
-    def scores(self, batch: Batch) -> dict[str, float]:
+    def scores(self, batch: CellBatch) -> dict[str, float]:
         losses = self.losses(batch)
         return {f"held_{name}": float(losses[name]) for name in ("weights", "attention")}
 

@@ -10,12 +10,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from service.inference.results import MAX_SOURCES
+
 NUM_BINS = 257
 NUM_FRAMES = 64
 LATENT = 64
 """D, covariance features per bin: what four poolings leave of 257 x 64 cells, 16 x 4"""
-MAX_SOURCES = 4
-"""M_max; the count classes are 0 to M_max"""
 DIAGONAL_LOADING = 1e-5
 
 

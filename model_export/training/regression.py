@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -37,7 +38,7 @@ from model_export.training.subspace import delay_products, signal_power, signal_
 from model_export.training.targets import target_spectrum
 from model_export.training.task import (
     STFT,
-    Batch,
+    LocatedBatch,
     Task,
     nearest_peak_error,
     padded_azimuths,
@@ -129,6 +130,37 @@ def subspace_distance(projector: Tensor, products: Tensor, mask: Tensor) -> Tens
     return (distance * weights).sum() / (weights.sum() * distance.shape[1]).clamp(min=1)
 
 
+@dataclass(frozen=True)
+class RegressionBatch(LocatedBatch):
+    """Scenes of one array, which is turned together with their azimuths."""
+
+    features: Tensor
+    """(B, 2N, 257, 64) float32, from ``service.doa.spectrogram``"""
+    rotation: Tensor
+    """() radians, counter-clockwise"""
+
+
+def collate_regression(
+    config: TrainingConfig, rng: np.random.Generator, scenes: Sequence[Scene]
+) -> RegressionBatch:
+    """Features, and the array and the labels turned by one random angle per batch.
+
+    The audio is left alone. No weight behind the regressor belongs to an angle, so the loss of a
+    turned batch is that of the unturned one on a grid turned the other way: one angle per batch
+    serves as well as one per scene.
+    """
+    spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))  # (B, N, F, L)
+    rotation = float(rng.uniform(0, 2 * np.pi))
+    azimuth, mask = padded_azimuths(scenes)
+    return RegressionBatch(
+        azimuth=azimuth + rotation,
+        mask=mask,
+        grid=torch.from_numpy(azimuth_grid(config.grid_size).astype(np.float32)),
+        features=torch.from_numpy(spectrogram_features(spectra, config.phase_reference)),
+        rotation=torch.tensor(rotation),
+    )
+
+
 class RegressionTask:
     """One array in low-order rooms: MSE on the fused spectrum, cross entropy on the count.
 
@@ -142,7 +174,7 @@ class RegressionTask:
         self.array = preset(config.array)
         self.model = RegressionPipeline(self.array.num_microphones)
 
-    def start_from(self, start: Task) -> None:
+    def start_from(self, start: Task[Any]) -> None:
         """Take the encoder of the self-supervised stage; everything else stays as it is.
 
         Raises
@@ -154,31 +186,10 @@ class RegressionTask:
             raise ValueError(f"{self.config.name} starts from an `sscl` run, not from another kind")
         load_encoder(self.model.covariance.encoder, start, self.config)
 
-    def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch:
-        """Features, and the array and the labels turned by one random angle per batch.
-
-        The audio is left alone. No weight behind the regressor belongs to an angle, so the loss of
-        a turned batch is that of the unturned one on a grid turned the other way: one angle per
-        batch serves as well as one per scene.
-        """
-        spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))  # (B, N, F, L)
-        rotation = float(rng.uniform(0, 2 * np.pi))
-        labels = padded_azimuths(scenes)
-        grid = azimuth_grid(self.config.grid_size)
-        return {
-            "features": torch.from_numpy(
-                spectrogram_features(spectra, self.config.phase_reference)
-            ),
-            "rotation": torch.tensor(rotation),
-            "grid": torch.from_numpy(grid.astype(np.float32)),
-            "azimuth": labels["azimuth"] + rotation,
-            "mask": labels["mask"],
-        }
-
-    def losses(self, batch: Batch) -> dict[str, Tensor]:
+    def losses(self, batch: RegressionBatch) -> dict[str, Tensor]:
         result, count = self._run(batch)
         sigma = float(np.deg2rad(self.config.target_sigma_deg))
-        target = target_spectrum(batch["azimuth"], batch["mask"], batch["grid"], sigma)
+        target = target_spectrum(batch.azimuth, batch.mask, batch.grid, sigma)
         error = (result.fused - target).square().mean(-1)  # (B,)
         present = (count > 0).float()
         losses = {
@@ -186,24 +197,24 @@ class RegressionTask:
             "count": F.cross_entropy(result.logits, count),
             "subspace": subspace_distance(
                 result.projector,
-                rotated_products(self.array, batch["rotation"], batch["azimuth"]),
-                batch["mask"],
+                rotated_products(self.array, batch.rotation, batch.azimuth),
+                batch.mask,
             ),
         }
         loss = losses["spectrum"] + self.config.count_weight * losses["count"]
         return {"loss": loss + self.config.subspace_weight * losses["subspace"], **losses}
 
-    def scores(self, batch: Batch) -> dict[str, float]:
+    def scores(self, batch: RegressionBatch) -> dict[str, float]:
         result, count = self._run(batch)
         return {
             "peak_error_deg": nearest_peak_error(result.fused, batch),
             "count_accuracy": float((result.logits.argmax(-1) == count).float().mean()),
         }
 
-    def _run(self, batch: Batch) -> tuple[RegressionResult, Tensor]:
-        count = batch["mask"].sum(-1)
-        products = rotated_products(self.array, batch["rotation"], batch["grid"][None])
-        return self.model(batch["features"], products[0], count), count
+    def _run(self, batch: RegressionBatch) -> tuple[RegressionResult, Tensor]:
+        count = batch.mask.sum(-1)
+        products = rotated_products(self.array, batch.rotation, batch.grid[None])
+        return self.model(batch.features, products[0], count), count
 
 
 def rotated_products(array: MicrophoneArray, rotation: Tensor, azimuth: Tensor) -> Tensor:

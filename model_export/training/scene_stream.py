@@ -11,16 +11,18 @@ import numpy as np
 import torch
 from torch.utils.data import IterableDataset
 
+from model_export.simulation.room_bank import RoomChunk
 from model_export.simulation.scenes import Scene, draw_scene
 from model_export.training.config import TrainingConfig
-from model_export.training.task import Batch, task_of
+from model_export.training.task import Batch
+from model_export.training.variants import collate
 from service.doa.types import FloatArray
 
 
 class RoomSource(Protocol):
     """Chunks of simulated rooms: a bank on disk or rooms made for one array."""
 
-    def chunk(self, rng: np.random.Generator) -> dict[str, FloatArray]: ...
+    def chunk(self, rng: np.random.Generator) -> RoomChunk: ...
 
 
 class SceneSource(Protocol):
@@ -55,7 +57,6 @@ class SceneStream(IterableDataset[Batch]):
         info = torch.utils.data.get_worker_info()
         worker = info.id if info else 0
         rng = np.random.default_rng([self.config.seed, self.first_step, worker])
-        task = task_of(self.config)
         scenes = self.source.scenes(rng, self.config)
         while True:
-            yield task.collate(rng, list(islice(scenes, self.config.batch_size)))
+            yield collate(self.config, rng, list(islice(scenes, self.config.batch_size)))

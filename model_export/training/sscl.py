@@ -20,6 +20,8 @@ and phase of the masked channel as an image:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -81,6 +83,35 @@ class SsclPipeline(nn.Module):
         return torch.einsum("bfn,bnfl->bfl", rows, spectra)
 
 
+@dataclass(frozen=True)
+class MaskedBatch(Batch):
+    """Scenes of N microphones, one of which is masked in every scene; F = 257 bins, L = 64."""
+
+    features: Tensor
+    """(B, 2N, F, L) float32, the masked microphone's cells left out"""
+    spectra: Tensor
+    """(B, N, F, L) complex64, of unit norm over the microphones in every cell"""
+    microphone: Tensor
+    """(B,) int64, the masked microphones"""
+    cells: Tensor
+    """(B, F, L) bool, the masked cells that count"""
+
+
+def collate_masked(rng: np.random.Generator, scenes: Sequence[Scene]) -> MaskedBatch:
+    """A random microphone and a random mask for every scene."""
+    spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))  # (B, N, F, L)
+    microphone = rng.integers(spectra.shape[1], size=len(spectra))
+    mask = np.stack([draw_mask(rng, *spectra.shape[2:]) for _ in scenes])
+    power = (spectra.real**2 + spectra.imag**2).sum(axis=1)  # (B, F, L)
+    norm = np.sqrt(np.maximum(power, np.finfo(np.float32).tiny))
+    return MaskedBatch(
+        features=torch.from_numpy(masked_features(spectra, microphone, mask)),
+        spectra=torch.from_numpy(spectra / norm[:, None]),
+        microphone=torch.from_numpy(microphone),
+        cells=torch.from_numpy(mask & louder_half(power)),
+    )
+
+
 class SsclTask:
     """Reconstruct a random microphone in masked cells of one array's scenes.
 
@@ -100,37 +131,23 @@ class SsclTask:
         self.array = array or preset(config.array)
         self.model = SsclPipeline(self.array.num_microphones)
 
-    def start_from(self, start: Task) -> None:
+    def start_from(self, start: Task[Any]) -> None:
         """Go on with another self-supervised run, such as from simulated to recorded scenes."""
         if not isinstance(start, SsclTask):
             raise ValueError(f"{self.config.name} starts from an `sscl` run, not from another kind")
         self.model.load_state_dict(start.model.state_dict())
 
-    def collate(self, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch:
-        """Masked features, unit-norm spectra, the masked microphones and the cells that count."""
-        spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))  # (B, N, F, L)
-        microphone = rng.integers(spectra.shape[1], size=len(spectra))
-        mask = np.stack([draw_mask(rng, *spectra.shape[2:]) for _ in scenes])
-        power = (spectra.real**2 + spectra.imag**2).sum(axis=1)  # (B, F, L)
-        norm = np.sqrt(np.maximum(power, np.finfo(np.float32).tiny))
-        return {
-            "features": torch.from_numpy(masked_features(spectra, microphone, mask)),
-            "spectra": torch.from_numpy(spectra / norm[:, None]),
-            "microphone": torch.from_numpy(microphone),
-            "cells": torch.from_numpy(mask & louder_half(power)),
-        }
-
-    def losses(self, batch: Batch) -> dict[str, Tensor]:
+    def losses(self, batch: MaskedBatch) -> dict[str, Tensor]:
         """The share of the masked channel's power that is not reconstructed."""
-        scenes = torch.arange(len(batch["microphone"]))
-        truth = batch["spectra"][scenes, batch["microphone"]]  # (B, F, L)
-        reconstruction = self.model(batch["features"], batch["spectra"], batch["microphone"])
+        scenes = torch.arange(len(batch.microphone))
+        truth = batch.spectra[scenes, batch.microphone]  # (B, F, L)
+        reconstruction = self.model(batch.features, batch.spectra, batch.microphone)
         error = torch.view_as_real(truth - reconstruction).square().sum(-1)
         power = torch.view_as_real(truth).square().sum(-1)
-        cells = batch["cells"]
+        cells = batch.cells
         return {"loss": (error * cells).sum() / (power * cells).sum().clamp(min=1e-6)}
 
-    def scores(self, batch: Batch) -> dict[str, float]:
+    def scores(self, batch: MaskedBatch) -> dict[str, float]:
         return {"unexplained": float(self.losses(batch)["loss"])}
 
 

@@ -10,7 +10,8 @@ import csv
 import json
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,8 @@ from torch.utils.data import DataLoader
 from model_export.training.config import TrainingConfig
 from model_export.training.fitting import CHECKPOINT, Fitting, checkpoint
 from model_export.training.scene_stream import SceneSource, SceneStream
-from model_export.training.task import Batch, Task, task_of
+from model_export.training.task import Batch, Task
+from model_export.training.variants import task_of
 
 VALIDATION_BATCHES = 8
 WARM_UP = 200
@@ -38,7 +40,7 @@ def train(
     init: Path | None = None,
     workers: int = 1,
     device: str = "cpu",
-) -> Task:
+) -> Task[Any]:
     """Train until ``config.steps``, continuing from the run folder's checkpoint if there is one.
 
     ``init`` is the folder of the run that ``config.starts_from`` names. The run may go on on
@@ -64,14 +66,14 @@ def train(
         return task
     stream = SceneStream(config, scenes, first_step=fitting.step)
     loader = iter(DataLoader(stream, batch_size=None, num_workers=workers, prefetch_factor=4))
-    validation = [on(device, b) for b in _validation_batches(config, validation_scenes)]
+    validation = [b.to(device) for b in _validation_batches(config, validation_scenes)]
     running: dict[str, float] = {}
-    with _progress(config, fitting.step) as (progress, bar):
+    with _progress(config, fitting.step) as tell:
         while fitting.step < config.steps:
-            losses = _optimize(fitting, task, on(device, next(loader)))
+            losses = _optimize(fitting, task, next(loader).to(device))
             for name, value in losses.items():
                 running[name] = 0.98 * running.get(name, value) + 0.02 * value
-            progress.update(bar, completed=fitting.step, loss=running["loss"])
+            tell(fitting.step, running["loss"])
             if fitting.step % config.checkpoint_every == 0 or fitting.step == config.steps:
                 scores = _validate(task, validation)
                 _write_curves(run, fitting.step, running, scores)
@@ -80,12 +82,7 @@ def train(
     return task
 
 
-def on(device: str, batch: Batch) -> Batch:
-    """The batch on a device; scenes are simulated on the CPU whatever trains on them."""
-    return {name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()}
-
-
-def _start_from(config: TrainingConfig, task: Task, init: Path | None) -> None:
+def _start_from(config: TrainingConfig, task: Task[Any], init: Path | None) -> None:
     """Take from the run that the configuration starts from what the task takes."""
     if config.starts_from is None and init is None:
         return
@@ -97,7 +94,7 @@ def _start_from(config: TrainingConfig, task: Task, init: Path | None) -> None:
     task.start_from(initial)
 
 
-def load_run(run: Path) -> tuple[TrainingConfig, Task, int]:
+def load_run(run: Path) -> tuple[TrainingConfig, Task[Any], int]:
     """A run's configuration, its task with the checkpoint's parameters, and the step."""
     if not (run / CHECKPOINT).exists():
         raise FileNotFoundError(f"{run} holds no {CHECKPOINT}: train first")
@@ -109,14 +106,14 @@ def load_run(run: Path) -> tuple[TrainingConfig, Task, int]:
     return config, task, int(state["step"])
 
 
-def _optimize(fitting: Fitting, task: Task, batch: Batch) -> dict[str, float]:
+def _optimize(fitting: Fitting, task: Task[Any], batch: Batch) -> dict[str, float]:
     task.model.train()
     losses = task.losses(batch)
     fitting.optimize(losses["loss"])
     return {name: float(value.detach()) for name, value in losses.items()}
 
 
-def _validate(task: Task, batches: Sequence[Batch]) -> dict[str, float]:
+def _validate(task: Task[Any], batches: Sequence[Batch]) -> dict[str, float]:
     task.model.eval()
     with torch.no_grad():
         per_batch = [task.scores(batch) for batch in batches]
@@ -150,23 +147,15 @@ def _write_curves(
         writer.writerow(row)
 
 
-class _progress:
-    """A progress bar with the running loss."""
-
-    def __init__(self, config: TrainingConfig, step: int) -> None:
-        self.progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.completed}/{task.total} loss {task.fields[loss]:.4f}"),
-            TimeRemainingColumn(),
-        )
-        self.bar = self.progress.add_task(
-            config.name, total=config.steps, completed=step, loss=math.nan
-        )
-
-    def __enter__(self) -> tuple[Progress, Any]:
-        self.progress.start()
-        return self.progress, self.bar
-
-    def __exit__(self, *_: object) -> None:
-        self.progress.stop()
+@contextmanager
+def _progress(config: TrainingConfig, step: int) -> Iterator[Callable[[int, float], None]]:
+    """A progress bar; told the step and the running loss."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed}/{task.total} loss {task.fields[loss]:.4f}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns) as progress:
+        bar = progress.add_task(config.name, total=config.steps, completed=step, loss=math.nan)
+        yield lambda step, loss: progress.update(bar, completed=step, loss=loss)

@@ -10,7 +10,8 @@ from typing import get_args
 import pytest
 
 from model_export.cli.experiments import NAMES, RECORDINGS
-from model_export.evaluation.results import BEGIN, END, Results
+from model_export.evaluation.results import Results
+from model_export.evaluation.sections import kept_section, marked
 from model_export.experiments.report import section
 from model_export.experiments.scale import SCALES
 from service.client import errors as client_errors  # noqa: F401  (part of the tree)
@@ -26,12 +27,12 @@ RESULTS = Results.read(ROOT / "docs" / "results.json")
 def test_the_result_tables_are_those_of_the_results() -> None:
     comparison = section(ROOT / "docs", [*NAMES, *RECORDINGS], asdict(SCALES["small"]))
     written = (ROOT / "docs" / "results.md").read_text()
-    assert written == f"{RESULTS.document()}\n{comparison}"
+    assert written == f"{RESULTS.document()}\n{marked('comparison', comparison)}\n"
 
 
 def test_the_table_of_the_readme_is_that_of_the_results() -> None:
-    readme = (ROOT / "README.md").read_text()
-    assert readme[readme.index(BEGIN) : readme.index(END) + len(END)] == RESULTS.readme_block()
+    written = kept_section(ROOT / "README.md", "results")
+    assert written == marked("results", RESULTS.readme_block()) + "\n"
 
 
 def test_the_bundle_carries_the_results() -> None:

@@ -9,6 +9,8 @@ import pytest
 import soundfile
 import torch
 
+from model_export.__main__ import main
+from model_export.simulation import array_rooms, rooms
 from model_export.simulation.synthesis import synthetic_voice
 
 # The networks here are small, and busy machines run other tests beside them.
@@ -30,3 +32,27 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
     listed = "".join(f"yes/{speaker}_nohash_0.wav\n" for speaker in SPEAKERS[:4])
     (folder / "validation_list.txt").write_text(listed)
     return folder
+
+
+@pytest.fixture(scope="session")
+def paper_run(corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A few steps of both of the paper's stages by the command line, in ``sscl`` and ``paper``."""
+    folder = tmp_path_factory.mktemp("runs")
+    command = ["train", "--smoke", "--speech-commands", str(corpus)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rooms, "CHUNK_ROOMS", 2)
+        patch.setattr(array_rooms, "DIFFUSE_FIELDS", 1)
+        first = [*command, "--config", "paper-sscl", "--run", str(folder / "sscl")]
+        assert main(first) == 0
+        second = [*command, "--config", "paper", "--run", str(folder / "paper")]
+        assert main([*second, "--init", str(folder / "sscl")]) == 0
+    return folder
+
+
+@pytest.fixture(scope="session")
+def paper_bundle(paper_run: Path, corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The supervised stage's run as a bundle of the name ``tiny``."""
+    out = tmp_path_factory.mktemp("bundles") / "tiny"
+    command = ["export", "--run", str(paper_run / "paper"), "--out", str(out), "--name", "tiny"]
+    assert main([*command, "--rooms", "unused", "--speech-commands", str(corpus)]) == 0
+    return out

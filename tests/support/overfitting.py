@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from model_export.baselines.network import MAX_SOURCES, BaselineNetwork, LearnedMethod, Truth
+from model_export.baselines.network import MAX_TALKERS, BaselineNetwork, LearnedMethod, Truth
 from model_export.simulation.protocol import SceneProtocol, SimulatedScene, simulate_scene
 from model_export.simulation.scenes import WINDOW_SAMPLES
 from model_export.simulation.synthesis import synthetic_voice
@@ -42,11 +42,11 @@ def windows(num_microphones: int) -> FloatArray:
 
 def truth_of(scenes: Sequence[SimulatedScene]) -> Truth:
     """The directions of the scenes' talkers."""
-    azimuth = torch.zeros(len(scenes), MAX_SOURCES)
+    azimuth = torch.zeros(len(scenes), MAX_TALKERS)
     for index, scene in enumerate(scenes):
         azimuth[index, : len(scene.azimuth)] = torch.from_numpy(scene.azimuth)
     counts = torch.tensor([len(scene.azimuth) for scene in scenes])
-    return Truth(azimuth, torch.arange(MAX_SOURCES) < counts[:, None])
+    return Truth(azimuth, torch.arange(MAX_TALKERS) < counts[:, None])
 
 
 def batch_of(network: BaselineNetwork, scenes: Sequence[SimulatedScene]) -> tuple[Tensor, Truth]:

@@ -1,11 +1,10 @@
-"""Score the tracker on simulated streams: ``python -m model_export.evaluation.tracking.evaluate``.
+"""Scores of the tracker on simulated streams: the command ``tracking``.
 
-Writes ``docs/tracking.md``. Development speakers are for tuning, held-out ones for the document.
+Development speakers are for tuning, held-out ones for the document.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 from rich.progress import track as progress
 
 from model_export import SAMPLE_RATE
-from model_export.datasets.speech import Split, librispeech, load
+from model_export.datasets.speech import Split
 from model_export.evaluation.evaluate import SEEDS
 from model_export.evaluation.false_sources import ARRAY
 from model_export.evaluation.tracking.recordings import Estimates, real_tracks
@@ -135,29 +134,10 @@ def _onset(speech: FloatArray) -> float:
     return float(np.argmax(loud)) / SAMPLE_RATE
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the evaluation and write the document; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m model_export.evaluation.tracking.evaluate", description=__doc__
-    )
-    parser.add_argument("--librispeech", type=Path, required=True, help="folder of utterances")
-    parser.add_argument(
-        "--recordings", type=Path, help="folder of real recordings of the array with labels.json"
-    )
-    parser.add_argument("--split", choices=list(SEEDS), default="heldout", help="speakers")
-    parser.add_argument("--out", type=Path, default=Path("docs/tracking.md"), help="document")
-    arguments = parser.parse_args(argv)
-    split: Split = arguments.split
-    speech = load(librispeech(arguments.librispeech, split))
-    if not speech:
-        parser.error(f"{arguments.librispeech} holds no {split} utterances")
+def evaluate(speech: Sequence[FloatArray], split: Split, recordings: Path | None) -> str:
+    """``docs/tracking.md``, measured on a split's speech and, if there are any, on recordings."""
     estimates = embedded_estimates()
-    real = real_tracks(arguments.recordings, estimates, INTERVAL_S) if arguments.recordings else {}
+    real = real_tracks(recordings, estimates, INTERVAL_S) if recordings else {}
     streams = list(simulate_streams(speech, SEEDS[split], estimates, INTERVAL_S))
     tracked = tally_streams(streams, follow)
-    arguments.out.write_text(document(tracked, tally_streams(streams, untracked), split, real))
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+    return document(tracked, tally_streams(streams, untracked), split, real)

@@ -23,7 +23,7 @@ PREFACE = """# Tracking
 Written by
 
 ```
-python -m model_export.evaluation.tracking.evaluate --librispeech FOLDER --recordings FOLDER
+python -m model_export tracking --librispeech LIBRISPEECH --recordings FOLDER
 ```
 
 The embedded bundle `any-array` localizes streams as the service does, ten times a second and the

@@ -12,7 +12,7 @@ from model_export.baselines.bands import planes
 from model_export.baselines.hybrids import hybrid_methods
 from model_export.baselines.matched import MatchedSubspace
 from model_export.baselines.music import HybridNetwork
-from model_export.baselines.network import MAX_SOURCES, BaselineNetwork, Truth, decoded
+from model_export.baselines.network import MAX_TALKERS, BaselineNetwork, Truth, decoded
 from model_export.simulation.protocol import SimulatedScene
 from model_export.training.task import STFT
 from service.doa.array import MicrophoneArray
@@ -81,7 +81,7 @@ def test_a_spectrum_within_bounds_or_angles_for_every_count(
 ) -> None:
     network = network_of(name, track, microphones).eval()
     prediction = network(features_of(network, microphones), ARRAYS[microphones])
-    assert prediction.count.shape == (2, MAX_SOURCES + 1)
+    assert prediction.count.shape == (2, MAX_TALKERS + 1)
     if prediction.spectrum is None:
         assert [a.shape for a in prediction.angles] == [(2, 1), (2, 2), (2, 3)]
     else:
@@ -119,7 +119,7 @@ def test_silence_without_sources_has_a_finite_loss_and_gradients(name: str, trac
     network = network_of(name, track).train()
     silence = np.zeros((3, 4, STFT.num_samples(64)), dtype=np.float32)
     features = torch.from_numpy(network.features(silence))
-    truth = Truth(torch.zeros(3, MAX_SOURCES), torch.zeros(3, MAX_SOURCES, dtype=torch.bool))
+    truth = Truth(torch.zeros(3, MAX_TALKERS), torch.zeros(3, MAX_TALKERS, dtype=torch.bool))
     prediction = network(features, ARRAYS[4], truth.count)
     loss = network.loss(prediction, truth, ARRAYS[4])
     loss.backward()

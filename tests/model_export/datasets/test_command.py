@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from model_export.__main__ import main
-from model_export.cli.datasets import DATASETS
+from model_export.datasets.catalogue import DATASETS
 from model_export.datasets.fault import Count
 
 pytestmark = pytest.mark.torch

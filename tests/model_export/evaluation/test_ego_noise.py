@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model_export.evaluation.ego_noise import NOISES, Score, learnt, main, table
+from model_export.__main__ import main
+from model_export.evaluation.ego_noise import NOISES, Score, learnt, table
 from service.doa.presets import preset
 
 pytestmark = pytest.mark.torch
@@ -33,7 +34,8 @@ def test_the_table_says_what_was_measured() -> None:
 
 def test_the_page_has_a_table_for_every_noise(corpus: Path, tmp_path: Path) -> None:
     out = tmp_path / "ego-noise.md"
-    main(["--speech", str(corpus), "--scenes", "2", "--alone", "3", "--out", str(out)])
+    command = ["ego-noise", "--speech-commands", str(corpus), "--scenes", "2", "--alone", "3"]
+    assert main([*command, "--out", str(out)]) == 0
     page = out.read_text()
     assert [line[5:] for line in page.splitlines() if line.startswith("## A ")] == list(NOISES)
     assert page.count("| `neural` | learnt |") == len(NOISES)

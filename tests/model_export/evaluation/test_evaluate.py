@@ -91,7 +91,7 @@ def test_the_number_of_workers_changes_nothing() -> None:
     voices = [synthetic_voice(rng, 1.0) for _ in range(4)]
     found = []
     for count in (1, 2):
-        with Workers(Inputs(Methods([ANY_ARRAY]), voices, seed=3), count) as workers:
+        with Workers.start(Inputs(Methods([ANY_ARRAY]), voices, seed=3), count) as workers:
             found.append(run(workers, 3, cells=[CELLS[0], SHORT_CELL]))
     assert found[0] == found[1]
     assert found[0].protocols[SHORT_CELL.name]["num_samples"] == 8000

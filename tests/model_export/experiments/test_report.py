@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from model_export.evaluation.results import Results
+from model_export.evaluation.sections import kept_section, renew
 from model_export.experiments.outcome import Outcome, Table
-from model_export.experiments.report import keep, kept_section, renew, section
+from model_export.experiments.report import SECTION, keep, section
 from model_export.experiments.scale import SCALES
 
 pytestmark = pytest.mark.torch
@@ -39,7 +40,7 @@ def test_renewing_leaves_the_rest_of_the_document(tmp_path: Path) -> None:
     keep(tmp_path, "main", "Main table", "c", "small", FINDING)
     for title in ("Old", "New"):
         keep(tmp_path, "main", title, "c", "small", FINDING)
-        renew(document, section(tmp_path, ["main"], SCALE))
+        renew(document, SECTION, section(tmp_path, ["main"], SCALE))
     text = document.read_text()
     assert text.startswith("# Results\n\nours\n")
     assert text.count("comparison: begin") == 1
@@ -49,8 +50,8 @@ def test_renewing_leaves_the_rest_of_the_document(tmp_path: Path) -> None:
 
 def test_an_evaluation_leaves_the_comparison(tmp_path: Path) -> None:
     keep(tmp_path, "main", "Main table", "c", "small", FINDING)
-    renew(tmp_path / "results.md", section(tmp_path, ["main"], SCALE))
-    kept = kept_section(tmp_path / "results.md")
+    renew(tmp_path / "results.md", SECTION, section(tmp_path, ["main"], SCALE))
+    kept = kept_section(tmp_path / "results.md", SECTION)
     Results(scenes=1, seed=7).write(tmp_path)
     text = (tmp_path / "results.md").read_text()
     assert "## Bars" in text

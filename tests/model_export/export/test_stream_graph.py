@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +15,10 @@ from torch import nn
 
 from model_export.export.bundle import export_onnx
 from model_export.export.parameters import trained_model
-from model_export.export.stream_graph import stream_graph
+from model_export.export.stream_graph import StreamingWeightsNetwork, stream_graph
 from model_export.training.config import Trunk
-from model_export.training.task import WeightsTask
 from model_export.training.weights import Separable, WeightsNetwork
+from model_export.training.weights_task import WeightsTask
 from service.doa.types import FloatArray
 from service.inference.bundle import load_bundle
 from service.inference.engine import Engine
@@ -40,15 +42,11 @@ def untrained(trunk: Trunk) -> WeightsNetwork:
     return network.eval()
 
 
+@cache
 def embedded() -> WeightsNetwork:
     task = trained_model(load_bundle(EMBEDDED_MODELS / "any-array")).task
     assert isinstance(task, WeightsTask)
     return task.model.network.eval()
-
-
-@pytest.fixture(scope="module", params=["embedded", "strided", "separable"])
-def network(request: pytest.FixtureRequest) -> WeightsNetwork:
-    return embedded() if request.param == "embedded" else untrained(request.param)
 
 
 @pytest.fixture(scope="module")
@@ -57,49 +55,101 @@ def features() -> FloatArray:
     return rng.standard_normal((1, 5, FRAMES, BINS)).astype(np.float32)
 
 
-@pytest.fixture(scope="module")
-def engine(network: WeightsNetwork, tmp_path_factory: pytest.TempPathFactory) -> Engine:
-    path = Path(tmp_path_factory.mktemp("stream")) / "stream.onnx"
+Step = Callable[[list[FloatArray]], list[FloatArray]]
+"""Features and states to weights, attentions and the next states"""
+
+
+def exported(network: WeightsNetwork, folder: Path) -> Engine:
+    path = folder / "stream.onnx"
     export_onnx(stream_graph(network, BINS), path)
     return Engine(path.read_bytes(), path.name)
 
 
-@settings(
-    max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(steps=st.lists(st.integers(1, 12), min_size=FRAMES, max_size=FRAMES))
-def test_steps_of_any_length_give_the_window(
-    steps: list[int], engine: Engine, network: WeightsNetwork, features: FloatArray
-) -> None:
+@pytest.fixture(scope="module")
+def embedded_engine(tmp_path_factory: pytest.TempPathFactory) -> Engine:
+    """The embedded bundle's network, exported anew."""
+    return exported(embedded(), tmp_path_factory.mktemp("stream"))
+
+
+@pytest.fixture(scope="module", params=["strided", "separable"])
+def untrained_network(request: pytest.FixtureRequest) -> WeightsNetwork:
+    return untrained(request.param)
+
+
+def in_torch(network: WeightsNetwork) -> Step:
+    streaming = StreamingWeightsNetwork(network)
+
+    def step(inputs: list[FloatArray]) -> list[FloatArray]:
+        with torch.no_grad():
+            return [each.numpy() for each in streaming(*map(torch.from_numpy, inputs))]
+
+    return step
+
+
+def differences(
+    step: Step, network: WeightsNetwork, features: FloatArray, lengths: Iterable[int]
+) -> float:
+    """The largest one of a window in steps from a whole window, against its maximum."""
     with torch.no_grad():
         expected = [each.numpy()[0] for each in network(torch.from_numpy(features))]
     ahead = network.lookahead
     found = [np.zeros((FRAMES + ahead, BINS)) for _ in expected]
-    state, position = engine.initial_state(), 0
-    for step in steps:
-        length = min(step, FRAMES - position)
-        if length == 0:
-            break
-        (*outputs,) = engine.run([features[:, :, position : position + length], *state])
+    initial = StreamingWeightsNetwork(network).initial_state(1, BINS)
+    state, position = [each.numpy() for each in initial.values()], 0
+    for length in lengths:
+        (*outputs,) = step([features[:, :, position : position + length], *state])
         state = outputs[2:]
         for kept, output in zip(found, outputs[:2], strict=True):
-            kept[position : position + length + ahead] = output[0]
-        position += length
-    for kept, whole in zip(found, expected, strict=True):
-        # The newest frames saw zeros behind them, as a window's last ones do.
-        difference = np.abs(kept[ahead:] - whole)[REACH:]
-        assert difference.max() < 1e-3 * np.abs(whole).max()
+            kept[position : position + output.shape[1]] = output[0]
+        position = min(position + length, FRAMES)
+        if position == FRAMES:
+            break
+    # The newest frames saw zeros behind them, as a window's last ones do.
+    return max(
+        float(np.abs(kept[ahead:] - whole)[REACH:].max() / np.abs(whole).max())
+        for kept, whole in zip(found, expected, strict=True)
+    )
+
+
+LENGTHS = st.lists(st.integers(1, 12), min_size=FRAMES, max_size=FRAMES)
+FEW = settings(
+    max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+
+@FEW
+@given(lengths=LENGTHS)
+def test_steps_of_any_length_give_the_window(
+    lengths: list[int], untrained_network: WeightsNetwork, features: FloatArray
+) -> None:
+    step = in_torch(untrained_network)
+    assert differences(step, untrained_network, features, lengths) < 1e-3
+
+
+@FEW
+@given(lengths=LENGTHS)
+def test_steps_of_the_graph_give_the_window(
+    lengths: list[int], embedded_engine: Engine, features: FloatArray
+) -> None:
+    assert differences(embedded_engine.run, embedded(), features, lengths) < 1e-3
+
+
+@pytest.mark.learns
+def test_steps_of_untrained_graphs_give_the_window(
+    untrained_network: WeightsNetwork, features: FloatArray, tmp_path: Path
+) -> None:
+    engine = exported(untrained_network, tmp_path)
+    for lengths in ([1] * FRAMES, [5] * FRAMES, [12, 1, 7, 2] * FRAMES):
+        assert differences(engine.run, untrained_network, features, lengths) < 1e-3
 
 
 def test_the_embedded_stream_graph_is_the_embedded_networks(
-    features: FloatArray, tmp_path: Path
+    features: FloatArray, embedded_engine: Engine
 ) -> None:
-    export_onnx(stream_graph(embedded(), BINS), tmp_path / "stream.onnx")
-    ours = Engine((tmp_path / "stream.onnx").read_bytes(), "stream.onnx")
     theirs = load_bundle(EMBEDDED_MODELS / "any-array").covariance_stream
     assert theirs is not None
     inputs = [features[:, :, :6], *theirs.initial_state()]
-    for found, expected in zip(ours.run(inputs), theirs.run(inputs), strict=True):
+    for found, expected in zip(embedded_engine.run(inputs), theirs.run(inputs), strict=True):
         assert np.abs(found - expected).max() < 1e-4
 
 

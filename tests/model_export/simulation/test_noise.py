@@ -16,7 +16,6 @@ from model_export.simulation.noise import coupled_noise, excerpt, shaped_like, u
 from model_export.simulation.rooms import RoomSpec, impulse_responses, paper_room
 from model_export.simulation.scenes import Scene, direct_response
 from model_export.simulation.synthesis import sound_bursts
-from model_export.training.task import direct_share
 from service.doa.steering import unit_vectors
 
 pytestmark = pytest.mark.torch
@@ -123,21 +122,6 @@ def test_the_direct_response_is_that_of_a_room_without_walls(distance: float) ->
     direct = direct_response(room, distance)
     expected = np.pad(expected, (0, max(0, room.size - expected.size)))[: room.size]
     assert np.square(direct - expected).sum() < 0.03 * np.square(expected).sum()
-
-
-def test_the_direct_share_is_one_where_only_the_talker_sounds_and_zero_where_only_noise(
-    rng: np.random.Generator,
-) -> None:
-    talker = rng.standard_normal((1, SAMPLES)).astype(np.float32)
-    talker[:, SAMPLES // 2 :] = 0
-    noise = rng.standard_normal(SAMPLES).astype(np.float32)
-    noise[: SAMPLES // 2] = 0
-    scene = Scene(talker, np.zeros((1, 3)), np.array([0.0]), talker, talker[0] + noise)
-    shares = direct_share(scene)
-    assert shares[:, :30].min() > 0.999
-    assert shares[:, 34:].max() < 1e-3
-    silent = Scene(talker, np.zeros((1, 3)), np.zeros(0), talker[:0], noise)
-    assert not direct_share(silent).any()
 
 
 def test_recordings_are_noise_or_events_by_their_name(

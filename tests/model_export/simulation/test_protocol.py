@@ -12,7 +12,10 @@ from model_export.datasets.speech import load, speech_commands
 from model_export.simulation.arrays import TEST_ARRAYS, named_array, random_array
 from model_export.simulation.noise import unit_power
 from model_export.simulation.protocol import SceneProtocol, simulate_scene, write_scenes
+from model_export.simulation.room_bank import RoomBank, RoomChunk
 from model_export.simulation.rooms import (
+    PAPER_ARRAY_CENTRE,
+    PAPER_ROOM_SIZE,
     SAMPLE_RATE,
     RoomSpec,
     diffuse_noise,
@@ -21,10 +24,9 @@ from model_export.simulation.rooms import (
     random_room,
 )
 from model_export.simulation.running_speech import running_speech
+from model_export.simulation.scene_config import SceneConfig
 from model_export.simulation.scenes import (
     WINDOW_SAMPLES,
-    RoomBank,
-    SceneConfig,
     convolve,
     draw_scene,
 )
@@ -185,18 +187,20 @@ PLACES = np.deg2rad([20.0, 120.0, 250.0, 255.0])
 
 
 @pytest.fixture(scope="module")
-def chunk() -> dict[str, np.ndarray]:
+def chunk() -> RoomChunk:
     """One room with four places for sources."""
     array = preset("respeaker-usb-4mic-v2")
     sources = 1.5 * unit_vectors(PLACES)
     rng = np.random.default_rng(8)
-    return {
-        "positions": array.positions[None],
-        "azimuth": PLACES[None],
-        "responses": impulse_responses(paper_room(1), array.positions, sources)[None],
-        "diffuse": diffuse_noise(rng, array.positions, WINDOW_SAMPLES)[None],
-        "distance": np.full((1, 4), 1.5),
-    }
+    return RoomChunk(
+        responses=impulse_responses(paper_room(1), array.positions, sources)[None],
+        positions=array.positions[None],
+        azimuth=PLACES[None],
+        elevation=np.zeros((1, 4)),
+        distance=np.full((1, 4), 1.5),
+        diffuse=diffuse_noise(rng, array.positions, WINDOW_SAMPLES)[None],
+        room=np.array([[*PAPER_ROOM_SIZE, *PAPER_ARRAY_CENTRE, 1, 0.0]]),
+    )
 
 
 def test_talkers_that_come_late_begin_inside_the_window_and_are_heard(voices, chunk) -> None:

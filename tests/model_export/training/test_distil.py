@@ -10,7 +10,8 @@ import torch
 
 from model_export.training.config import ANY_ARRAY_LIGHT, ANY_ARRAY_NOISE
 from model_export.training.distil import DistilTask
-from model_export.training.task import Batch, WeightsTask, task_of
+from model_export.training.variants import task_of
+from model_export.training.weights_task import CellBatch, WeightsTask
 from service.doa.types import FloatArray
 
 pytestmark = pytest.mark.torch
@@ -28,11 +29,8 @@ def cells(seed: int) -> FloatArray:
 
 
 @pytest.fixture(scope="module")
-def batch() -> Batch:
-    return {
-        "features": torch.from_numpy(cells(0)),
-        "direct_share": torch.full((2, BINS, FRAMES), torch.nan),
-    }
+def batch() -> CellBatch:
+    return CellBatch(torch.from_numpy(cells(0)), torch.full((2, BINS, FRAMES), torch.nan))
 
 
 def taught() -> tuple[WeightsTask, DistilTask]:
@@ -46,7 +44,7 @@ def taught() -> tuple[WeightsTask, DistilTask]:
     return teacher, task
 
 
-def test_a_few_steps_bring_it_to_its_teacher(batch: Batch) -> None:
+def test_a_few_steps_bring_it_to_its_teacher(batch: CellBatch) -> None:
     _, task = taught()
     optimizer = torch.optim.AdamW(task.model.parameters(), lr=3e-3)
     task.model.train()
@@ -60,7 +58,7 @@ def test_a_few_steps_bring_it_to_its_teacher(batch: Batch) -> None:
     assert losses["weights"].detach() < 0.5 * first["weights"].detach()
 
 
-def test_its_teacher_does_not_learn_and_is_not_saved(batch: Batch) -> None:
+def test_its_teacher_does_not_learn_and_is_not_saved(batch: CellBatch) -> None:
     teacher, task = taught()
     before = {name: tensor.clone() for name, tensor in teacher.model.state_dict().items()}
     task.model.train()
@@ -77,7 +75,7 @@ def test_its_teacher_does_not_learn_and_is_not_saved(batch: Batch) -> None:
     )
 
 
-def test_nothing_is_lost_where_it_says_the_same(batch: Batch) -> None:
+def test_nothing_is_lost_where_it_says_the_same(batch: CellBatch) -> None:
     """A student that is its own teacher has no divergence: the losses have their least at zero."""
     _, task = taught()
     task.model.eval()

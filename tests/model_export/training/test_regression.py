@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -14,13 +14,16 @@ from model_export.simulation.array_rooms import ArrayRooms, simulate_array_chunk
 from model_export.simulation.scenes import WINDOW_SAMPLES, Scene
 from model_export.training.config import ANY_ARRAY, PAPER
 from model_export.training.regression import (
+    RegressionBatch,
     RegressionTask,
+    collate_regression,
     counted_projector,
     rotated_products,
     subspace_distance,
 )
 from model_export.training.subspace import signal_projector
-from model_export.training.task import STFT, Batch, task_of
+from model_export.training.task import STFT
+from model_export.training.variants import task_of
 from service.doa.evd import signal_subspace
 from service.doa.fusion import attention_fusion, attention_weights, normalise
 from service.doa.music import signal_power
@@ -47,9 +50,9 @@ def plane_waves(rng: np.random.Generator, *azimuths_deg: float) -> Scene:
     return Scene(audio.astype(np.float32), ARRAY.positions, azimuth)
 
 
-def batch_of(task: RegressionTask, *scenes: tuple[float, ...]) -> Batch:
+def batch_of(*scenes: tuple[float, ...]) -> RegressionBatch:
     rng = np.random.default_rng(0)
-    return task.collate(rng, [plane_waves(rng, *azimuths) for azimuths in scenes])
+    return collate_regression(CONFIG, rng, [plane_waves(rng, *azimuths) for azimuths in scenes])
 
 
 @pytest.fixture
@@ -58,15 +61,12 @@ def task() -> RegressionTask:
     return RegressionTask(CONFIG)
 
 
-def turned(batch: Batch, angle: float) -> Batch:
+def turned(batch: RegressionBatch, angle: float) -> RegressionBatch:
     """The batch with array and labels turned by a further angle in radians."""
-    return batch | {
-        "rotation": batch["rotation"] + angle,
-        "azimuth": batch["azimuth"] + angle,
-    }
+    return replace(batch, rotation=batch.rotation + angle, azimuth=batch.azimuth + angle)
 
 
-def fused(task: RegressionTask, batch: Batch) -> Tensor:
+def fused(task: RegressionTask, batch: RegressionBatch) -> Tensor:
     result, _ = task._run(batch)
     return result.fused
 
@@ -76,7 +76,7 @@ def test_turning_array_and_labels_turns_the_spectrum_and_keeps_the_loss(
     task: RegressionTask,
 ) -> None:
     task.model.eval()
-    batch = batch_of(task, (20.0,), (100.0, 250.0))
+    batch = batch_of((20.0,), (100.0, 250.0))
     steps = 13
     rotated = turned(batch, steps * 2 * np.pi / CONFIG.grid_size)
     torch.testing.assert_close(
@@ -90,28 +90,31 @@ def test_turning_array_and_labels_turns_the_spectrum_and_keeps_the_loss(
 @torch.no_grad()
 def test_turning_the_labels_alone_changes_the_loss(task: RegressionTask) -> None:
     task.model.eval()
-    batch = batch_of(task, (20.0,))
-    spoiled = turned(batch, 1.0) | {"rotation": batch["rotation"]}
+    batch = batch_of((20.0,))
+    spoiled = replace(turned(batch, 1.0), rotation=batch.rotation)
     assert abs(task.losses(spoiled)["spectrum"] - task.losses(batch)["spectrum"]) > 1e-5
 
 
-def test_batches_are_turned_at_random_and_their_audio_is_not(task: RegressionTask) -> None:
+def test_batches_are_turned_at_random_and_their_audio_is_not() -> None:
     rng = np.random.default_rng(0)
     scene = plane_waves(rng, 20.0)
-    first, second = task.collate(rng, [scene]), task.collate(rng, [scene])
-    assert first["rotation"] != second["rotation"]
-    torch.testing.assert_close(first["features"], second["features"])
+    first, second = (
+        collate_regression(CONFIG, rng, [scene]),
+        collate_regression(CONFIG, rng, [scene]),
+    )
+    assert first.rotation != second.rotation
+    torch.testing.assert_close(first.features, second.features)
     for batch in (first, second):
-        label = (batch["azimuth"][0, 0] - batch["rotation"]).item()
+        label = (batch.azimuth[0, 0] - batch.rotation).item()
         assert np.rad2deg(label) == pytest.approx(20.0, abs=1e-3)
 
 
 @torch.no_grad()
 def test_the_service_computes_the_same_fused_spectra(task: RegressionTask) -> None:
     task.model.eval()
-    batch = batch_of(task, (20.0,), (100.0, 250.0)) | {"rotation": torch.tensor(0.0)}
+    batch = replace(batch_of((20.0,), (100.0, 250.0)), rotation=torch.tensor(0.0))
     model = task.model
-    parts = model.covariance(batch["features"]).numpy()
+    parts = model.covariance(batch.features).numpy()
     steering = steering_vectors(ARRAY.positions, STFT.frequencies, azimuth_grid(CONFIG.grid_size))
     for scene, num_sources in enumerate((1, 2)):
         covariance = parts[scene, :, 0] + 1j * parts[scene, :, 1]
@@ -148,7 +151,7 @@ def test_the_subspace_distance_is_zero_at_the_truth_and_one_across_it() -> None:
 
 
 def test_the_loss_is_the_weighted_sum_and_reaches_every_parameter(task: RegressionTask) -> None:
-    losses = task.losses(batch_of(task, (20.0,), (100.0, 250.0), ()))
+    losses = task.losses(batch_of((20.0,), (100.0, 250.0), ()))
     expected = losses["spectrum"] + 0.5 * losses["count"] + losses["subspace"]
     torch.testing.assert_close(losses["loss"], expected)
     losses["loss"].backward()
@@ -159,7 +162,7 @@ def test_the_loss_is_the_weighted_sum_and_reaches_every_parameter(task: Regressi
 
 
 def test_scenes_without_a_source_train_the_count_alone(task: RegressionTask) -> None:
-    losses = task.losses(batch_of(task, (), ()))
+    losses = task.losses(batch_of((), ()))
     assert losses["spectrum"] == 0
     assert losses["subspace"] == 0
     losses["loss"].backward()
@@ -184,17 +187,17 @@ def test_rooms_of_the_bound_array_follow_from_the_generator_and_differ() -> None
     rng = np.random.default_rng(3)
     first, second = ArrayRooms(ARRAY).chunk(rng), ArrayRooms(ARRAY).chunk(rng)
     again = ArrayRooms(ARRAY).chunk(np.random.default_rng(3))
-    np.testing.assert_array_equal(first["responses"], again["responses"])
-    assert not np.array_equal(first["azimuth"], second["azimuth"])
+    np.testing.assert_array_equal(first.responses, again.responses)
+    assert not np.array_equal(first.azimuth, second.azimuth)
 
 
 @pytest.mark.usefixtures("few_rooms")
 def test_simulated_responses_arrive_from_where_their_labels_say() -> None:
     chunk = simulate_array_chunk(5, ARRAY)
-    assert chunk["responses"].shape[:3] == (3, rooms.SOURCES_PER_ROOM, 4)
-    assert chunk["diffuse"].shape[:2] == (3, 4)
-    np.testing.assert_array_equal(chunk["positions"], np.stack([ARRAY.positions] * 3))
-    for responses, azimuths in zip(chunk["responses"], chunk["azimuth"], strict=True):
+    assert chunk.responses.shape[:3] == (3, rooms.SOURCES_PER_ROOM, 4)
+    assert chunk.diffuse.shape[:2] == (3, 4)
+    np.testing.assert_array_equal(chunk.positions, np.stack([ARRAY.positions] * 3))
+    for responses, azimuths in zip(chunk.responses, chunk.azimuth, strict=True):
         for response, azimuth in zip(responses, azimuths, strict=True):
             error = np.rad2deg(onset_azimuth(response.astype(np.float64)) - azimuth)
             assert abs((error + 180) % 360 - 180) < 8  # 1 mm of jitter on 32 mm of radius
@@ -224,7 +227,7 @@ def onset_azimuth(response: FloatArray) -> float:
 def test_the_pipeline_learns_four_scenes() -> None:
     torch.manual_seed(0)
     task = RegressionTask(CONFIG)
-    batch = batch_of(task, (20.0,), (130.0,), (205.0,), (310.0,))
+    batch = batch_of((20.0,), (130.0,), (205.0,), (310.0,))
     optimizer = torch.optim.Adam(task.model.parameters(), 1e-3)
     for _ in range(60):
         task.model.train()
@@ -235,7 +238,9 @@ def test_the_pipeline_learns_four_scenes() -> None:
     task.model.eval()
     with torch.no_grad():
         scene_scores = [
-            task.scores({name: _row(value, scene) for name, value in batch.items()})
+            task.scores(
+                RegressionBatch(*(_row(getattr(batch, f.name), scene) for f in fields(batch)))
+            )
             for scene in range(4)
         ]
     assert max(scores["peak_error_deg"] for scores in scene_scores) < 5

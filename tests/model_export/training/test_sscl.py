@@ -15,8 +15,15 @@ from model_export.training.config import ANY_ARRAY, PAPER, PAPER_SSCL, TrainingC
 from model_export.training.masking import MASKED_SHARE, draw_mask, masked_features
 from model_export.training.networks import Encoder
 from model_export.training.regression import RegressionTask
-from model_export.training.sscl import ReconstructionDecoder, SsclTask, load_encoder
-from model_export.training.task import STFT, task_of
+from model_export.training.sscl import (
+    MaskedBatch,
+    ReconstructionDecoder,
+    SsclTask,
+    collate_masked,
+    load_encoder,
+)
+from model_export.training.task import STFT
+from model_export.training.variants import task_of
 from service.doa.presets import preset
 from service.doa.spectrogram import spectrogram_features
 from service.doa.steering import steering_vectors
@@ -35,6 +42,12 @@ def plane_wave(rng: np.random.Generator, azimuth_deg: float) -> Scene:
     audio = np.fft.irfft(steering.T * source, WINDOW_SAMPLES)
     audio += 0.03 * rng.standard_normal(audio.shape)
     return Scene(audio.astype(np.float32), ARRAY.positions, np.deg2rad([azimuth_deg]))
+
+
+def pair() -> MaskedBatch:
+    """The same scene twice."""
+    scene = plane_wave(np.random.default_rng(1), 70.0)
+    return collate_masked(np.random.default_rng(0), [scene] * 2)
 
 
 def noise_spectra(scenes: int = 3) -> ComplexArray:
@@ -105,13 +118,13 @@ def test_unmasked_cells_and_microphones_differ_from_plain_features_by_the_level_
 def test_a_microphone_never_contributes_to_its_own_reconstruction() -> None:
     torch.manual_seed(0)
     task = SsclTask(PAPER_SSCL)
-    batch = task.collate(np.random.default_rng(0), [plane_wave(np.random.default_rng(1), 70.0)] * 2)
-    spoiled = batch["spectra"].clone()
-    spoiled[torch.arange(2), batch["microphone"]] = 5
+    batch = pair()
+    spoiled = batch.spectra.clone()
+    spoiled[torch.arange(2), batch.microphone] = 5
     model = task.model.eval()
     torch.testing.assert_close(
-        model(batch["features"], spoiled, batch["microphone"]),
-        model(batch["features"], batch["spectra"], batch["microphone"]),
+        model(batch.features, spoiled, batch.microphone),
+        model(batch.features, batch.spectra, batch.microphone),
     )
     coefficients = ReconstructionDecoder(4)(torch.randn(1, 257, 64))
     assert not coefficients.diagonal(dim1=-2, dim2=-1).any()
@@ -119,12 +132,11 @@ def test_a_microphone_never_contributes_to_its_own_reconstruction() -> None:
 
 
 def test_only_loud_masked_cells_count() -> None:
-    task = SsclTask(PAPER_SSCL)
     scene = plane_wave(np.random.default_rng(0), 10.0)
     audio = scene.audio.copy()
     audio[:, : WINDOW_SAMPLES // 2] *= 1e-3
-    batch = task.collate(np.random.default_rng(0), [replace(scene, audio=audio)] * 12)
-    cells = batch["cells"]
+    batch = collate_masked(np.random.default_rng(0), [replace(scene, audio=audio)] * 12)
+    cells = batch.cells
     assert not cells[:, :, :31].any()
     # Half the frames are loud; of them 40 to 75 % are masked, in spans a little less evenly.
     assert 0.15 < cells.float().mean() < 0.42
@@ -132,7 +144,7 @@ def test_only_loud_masked_cells_count() -> None:
 
 def test_the_loss_is_the_share_of_the_power_that_is_missing() -> None:
     task = SsclTask(PAPER_SSCL)
-    batch = task.collate(np.random.default_rng(0), [plane_wave(np.random.default_rng(1), 70.0)] * 2)
+    batch = pair()
     torch.nn.init.zeros_(task.model.decoder.linear.weight)
     torch.nn.init.zeros_(task.model.decoder.linear.bias)
     with torch.no_grad():
@@ -143,7 +155,7 @@ def test_the_task_learns_and_reaches_every_parameter() -> None:
     torch.manual_seed(0)
     task = task_of(PAPER_SSCL)
     rng = np.random.default_rng(0)
-    batch = task.collate(rng, [plane_wave(rng, azimuth) for azimuth in (20.0, 130.0, 205.0, 310.0)])
+    batch = collate_masked(rng, [plane_wave(rng, azimuth) for azimuth in (20, 130, 205, 310)])
     optimizer = torch.optim.Adam(task.model.parameters(), 3e-3)
     losses = []
     for _ in range(40):

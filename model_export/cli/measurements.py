@@ -1,0 +1,80 @@
+"""``ego-noise``, ``mistakes``, ``tracking``, ``classical-confidence``: what single pages report."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from model_export.cli.evaluation import add_split
+from model_export.cli.speech import add_librispeech, add_speech_commands, utterances, words
+
+
+def add(commands: Any) -> None:
+    """Add the four commands."""
+    ego = commands.add_parser("ego-noise", help="what a noise profile gains: docs/ego-noise.md")
+    add_speech_commands(ego)
+    ego.add_argument("--scenes", type=int, default=60)
+    ego.add_argument("--snr-db", type=float, default=0.0, help="talker against the noise")
+    ego.add_argument("--alone", type=float, default=60.0, help="seconds of the noise alone")
+    ego.add_argument("--seed", type=int, default=7)
+    _add_page(ego, "docs/ego-noise.md", _ego_noise)
+
+    mistakes = commands.add_parser("mistakes", help="which are named: docs/diagnostics.md")
+    add_librispeech(mistakes)
+    mistakes.add_argument("--recordings", type=Path, help="real recordings of the array, correct")
+    mistakes.add_argument("--seconds", type=float, nargs="+", default=[10.0, 30.0])
+    mistakes.add_argument("--seed", type=int, default=3)
+    _add_page(mistakes, "docs/diagnostics.md", _mistakes)
+
+    tracking = commands.add_parser("tracking", help="score the tracker: docs/tracking.md")
+    add_librispeech(tracking)
+    tracking.add_argument(
+        "--recordings", type=Path, help="real recordings of the array, with labels.json"
+    )
+    add_split(tracking)
+    _add_page(tracking, "docs/tracking.md", _tracking)
+
+    confidence = commands.add_parser(
+        "classical-confidence", help="fit what a classical peak is worth (printed)"
+    )
+    add_speech_commands(confidence)
+    confidence.add_argument("--windows", type=int, default=1800)
+    confidence.add_argument("--seed", type=int, default=11)
+    confidence.set_defaults(run_command=_classical_confidence)
+
+
+def _add_page(parser: argparse.ArgumentParser, page: str, run: Any) -> None:
+    parser.add_argument("--out", type=Path, default=Path(page), help=f"page (default {page})")
+    parser.set_defaults(run_command=run)
+
+
+def _ego_noise(arguments: argparse.Namespace) -> None:
+    from model_export.datasets.speech import speech_commands
+    from model_export.evaluation.ego_noise import Measurement, document
+
+    measurement = Measurement(arguments.scenes, arguments.snr_db, arguments.alone, arguments.seed)
+    clips = speech_commands(arguments.speech_commands, "heldout")
+    arguments.out.write_text(document(clips, measurement))
+
+
+def _mistakes(arguments: argparse.Namespace) -> None:
+    from model_export.evaluation.mistakes import document
+
+    speech = utterances(arguments.librispeech, "heldout")
+    page = document(speech, arguments.seconds, arguments.seed, arguments.recordings)
+    arguments.out.write_text(page)
+
+
+def _tracking(arguments: argparse.Namespace) -> None:
+    from model_export.evaluation.tracking.evaluate import evaluate
+
+    speech = utterances(arguments.librispeech, arguments.split)
+    arguments.out.write_text(evaluate(speech, arguments.split, arguments.recordings))
+
+
+def _classical_confidence(arguments: argparse.Namespace) -> None:
+    from model_export.evaluation.classical_confidence import fitted_curves
+
+    speech = words(arguments.speech_commands, "development")
+    print("\n".join(fitted_curves(speech, arguments.windows, arguments.seed)))

@@ -1,0 +1,34 @@
+"""What training scenes may hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class SceneConfig:
+    """What a training scene may hold; probabilities unless said otherwise."""
+
+    source_counts: tuple[float, ...] = (0.0, 0.55, 0.35, 0.10)
+    """Probability of 0, 1, 2, ... talkers"""
+    min_separation: float = np.deg2rad(12.0)
+    """Radians between talkers"""
+    snr_db: tuple[float, float] = (-5.0, 35.0)
+    """Signal-to-noise ratio against all noise, uniform"""
+    level_difference_db: float = 3.0
+    """Talkers differ by up to this much"""
+    position_error: float = 0.0015
+    """Metres, standard deviation of the microphones against their nominal places"""
+    diffuse: float = 0.5
+    recorded: float = 0.4
+    """Of the diffuse noises, where recordings are given"""
+    coupled: float = 0.15
+    machine: float = 0.15
+    """A fan at one place, which is no talker; more often where nobody talks"""
+    crosstalk: float = 0.15
+    band_limit: float = 0.12
+    quantised: float = 0.2
+    late: float = 0.0
+    """All talkers begin inside the window, as a stream hears them first"""

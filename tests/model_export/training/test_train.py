@@ -1,0 +1,116 @@
+"""Runs: interrupted in the middle they go on where they stopped, finished they train nothing."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from model_export.simulation.scenes import WINDOW_SAMPLES, Scene
+from model_export.training.config import ANY_ARRAY, TrainingConfig
+from model_export.training.fitting import checkpoint
+from model_export.training.scene_stream import SceneStream
+from model_export.training.train import WARM_UP, train
+from model_export.training.weights_task import WeightsTask
+from service.doa.presets import preset
+
+pytestmark = pytest.mark.torch
+
+CONFIG = replace(ANY_ARRAY, steps=6, batch_size=2, grid_size=36, checkpoint_every=2)
+POSITIONS = preset("respeaker-usb-4mic-v2").positions
+
+
+class Interrupted(Exception):
+    pass
+
+
+@dataclass
+class Noise:
+    """Scenes of noise that is said to come from anywhere; the supply may break off."""
+
+    batches: int | None = None
+
+    def scenes(self, rng: np.random.Generator, config: TrainingConfig) -> Iterator[Scene]:
+        given = 0
+        while self.batches is None or given < self.batches * config.batch_size:
+            audio = rng.standard_normal((4, WINDOW_SAMPLES), dtype=np.float32)
+            yield Scene(audio, POSITIONS, rng.uniform(0, 2 * np.pi, 1))
+            given += 1
+        raise Interrupted
+
+
+def curve(run: Path) -> list[dict[str, str]]:
+    with (run / "curves.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def continued(run: Path) -> tuple[WeightsTask, list[float]]:
+    """The rest of an interrupted run, optimized by hand: its task and the losses of its steps."""
+    state = checkpoint(run)
+    task = WeightsTask(CONFIG)
+    task.model.load_state_dict(state["model"])
+    optimizer = torch.optim.AdamW(task.model.parameters(), weight_decay=CONFIG.weight_decay)
+    optimizer.load_state_dict(state["optimizer"])
+    stream = SceneStream(CONFIG, Noise(), first_step=state["step"])
+    losses = []
+    task.model.train()
+    for step, batch in zip(range(state["step"], CONFIG.steps), stream, strict=False):
+        cosine = 0.01 + 0.99 * (1 + math.cos(math.pi * step / CONFIG.steps)) / 2
+        for group in optimizer.param_groups:
+            group["lr"] = CONFIG.learning_rate * cosine * (step + 1) / WARM_UP
+        optimizer.zero_grad()
+        loss = task.losses(batch)["loss"]
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(task.model.parameters(), 1.0)
+        optimizer.step()
+        losses.append(float(loss.detach()))
+    return task, losses
+
+
+def test_a_run_that_is_interrupted_goes_on_at_its_checkpoint(tmp_path: Path) -> None:
+    with pytest.raises(Interrupted):
+        train(CONFIG, tmp_path, Noise(batches=3), Noise())
+    assert checkpoint(tmp_path)["step"] == 2  # the third step is lost
+    assert [row["step"] for row in curve(tmp_path)] == ["2"]
+    expected, losses = continued(tmp_path)
+
+    trained = train(CONFIG, tmp_path, Noise(batches=4), Noise())
+    state = checkpoint(tmp_path)
+    assert state["step"] == 6
+    assert [row["step"] for row in curve(tmp_path)] == ["2", "4", "6"]
+    running = [losses[0]]
+    for loss in losses[1:]:
+        running.append(0.98 * running[-1] + 0.02 * loss)
+    logged = [float(row["loss"]) for row in curve(tmp_path)[1:]]
+    assert logged == pytest.approx([running[1], running[3]], rel=1e-3)
+    moments = state["optimizer"]["state"].values()
+    assert {int(moment["step"]) for moment in moments} == {6}  # not those of four steps
+    for name, parameter in expected.model.state_dict().items():
+        torch.testing.assert_close(trained.model.state_dict()[name], parameter, msg=name)
+
+
+def test_a_finished_run_trains_nothing_and_other_settings_are_refused(tmp_path: Path) -> None:
+    short = replace(CONFIG, steps=1)
+    train(short, tmp_path, Noise(), Noise())
+    before = curve(tmp_path)
+    train(short, tmp_path, Noise(batches=0), Noise(batches=0))  # no scene is asked for
+    assert curve(tmp_path) == before
+    with pytest.raises(ValueError, match="holds a run with other settings"):
+        train(replace(short, seed=2), tmp_path, Noise(), Noise())
+
+
+def test_another_seed_makes_other_batches_and_another_step_too() -> None:
+    def first(config: TrainingConfig, step: int) -> torch.Tensor:
+        (batch,) = islice(SceneStream(config, Noise(), first_step=step), 1)
+        return batch.features
+
+    assert torch.equal(first(CONFIG, 2), first(CONFIG, 2))
+    assert not torch.equal(first(CONFIG, 2), first(CONFIG, 0))
+    assert not torch.equal(first(CONFIG, 2), first(replace(CONFIG, seed=2), 2))
