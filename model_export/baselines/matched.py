@@ -17,7 +17,9 @@ from model_export.baselines.heads import spectrum_layer
 from model_export.baselines.method import Card
 from model_export.baselines.music import LOG_FLOOR, array_products, music_spectrum
 from model_export.baselines.network import MAX_TALKERS, BaselineNetwork, Prediction, Truth
-from model_export.training.networks import NUM_FRAMES, FrequencyAttentionFusion, SourceCountNetwork
+from model_export.training.networks import NUM_FRAMES
+from model_export.training.networks.fusion import FrequencyAttentionFusion
+from model_export.training.networks.source_count import SourceCountNetwork
 from model_export.training.precision import training_precision
 from model_export.training.regression import counted_projector, subspace_distance
 from model_export.training.task import STFT

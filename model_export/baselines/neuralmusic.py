@@ -7,7 +7,9 @@ from torch import Tensor, nn
 
 from model_export.baselines.matched import MatchedSubspace
 from model_export.baselines.method import Card
-from model_export.training.networks import NUM_BINS, CovarianceNetwork, Encoder
+from model_export.training.networks import NUM_BINS
+from model_export.training.networks.encoder import Encoder
+from model_export.training.networks.regressor import CovarianceNetwork
 
 CARD = Card(
     "neuralmusic",

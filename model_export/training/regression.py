@@ -27,11 +27,9 @@ from torch import Tensor, nn
 
 from model_export.simulation.scenes import Scene
 from model_export.training.config import TrainingConfig
-from model_export.training.networks import (
-    CovarianceNetwork,
-    FrequencyAttentionFusion,
-    SourceCountNetwork,
-)
+from model_export.training.networks.fusion import FrequencyAttentionFusion
+from model_export.training.networks.regressor import CovarianceNetwork
+from model_export.training.networks.source_count import SourceCountNetwork
 from model_export.training.precision import training_precision
 from model_export.training.sscl import SsclTask, load_encoder
 from model_export.training.subspace import delay_products, signal_power, signal_projector

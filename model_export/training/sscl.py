@@ -30,7 +30,8 @@ from torch import Tensor, nn
 from model_export.simulation.scenes import Scene
 from model_export.training.config import TrainingConfig
 from model_export.training.masking import draw_mask, masked_features
-from model_export.training.networks import LATENT, Encoder
+from model_export.training.networks import LATENT
+from model_export.training.networks.encoder import Encoder
 from model_export.training.precision import training_precision
 from model_export.training.task import STFT, Batch, Task
 from service.doa.array import MicrophoneArray

@@ -7,14 +7,14 @@ import pytest
 import torch
 from torch import nn
 
-from model_export.training.networks import (
+from model_export.training.networks.encoder import Encoder
+from model_export.training.networks.fusion import FrequencyAttentionFusion
+from model_export.training.networks.regressor import (
     DIAGONAL_LOADING,
     CovarianceNetwork,
     CovarianceRegressor,
-    Encoder,
-    FrequencyAttentionFusion,
-    SourceCountNetwork,
 )
+from model_export.training.networks.source_count import SourceCountNetwork
 from service.doa.fusion import attention_fusion, attention_weights
 
 pytestmark = pytest.mark.torch

@@ -13,7 +13,7 @@ from model_export.__main__ import main
 from model_export.simulation.scenes import WINDOW_SAMPLES, Scene
 from model_export.training.config import ANY_ARRAY, PAPER, PAPER_SSCL, TrainingConfig
 from model_export.training.masking import MASKED_SHARE, draw_mask, masked_features
-from model_export.training.networks import Encoder
+from model_export.training.networks.encoder import Encoder
 from model_export.training.regression import RegressionTask
 from model_export.training.sscl import (
     MaskedBatch,

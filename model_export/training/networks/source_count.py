@@ -1,0 +1,32 @@
+"""The count branch beside the encoder."""
+
+from __future__ import annotations
+
+from torch import Tensor, nn
+
+from model_export.training.networks import LATENT
+from model_export.training.networks.encoder import conv_block
+from service.inference.results import MAX_SOURCES
+
+
+class SourceCountNetwork(nn.Module):
+    """The parallel branch: features (B, 2N, 257, 64) to logits of 0 to M_max sources (B, 5)."""
+
+    def __init__(self, num_microphones: int, max_sources: int = MAX_SOURCES) -> None:
+        super().__init__()
+        self.blocks = nn.Sequential(
+            conv_block(2 * num_microphones, 16),  # (B, 16, 128, 32)
+            conv_block(16, 16),  # (B, 16, 64, 16)
+            conv_block(16, 16),  # (B, 16, 32, 8)
+            conv_block(16, 32),  # (B, 32, 16, 4)
+        )
+        self.classifier = nn.Sequential(
+            nn.Flatten(),  # (B, 2048)
+            nn.Linear(32 * LATENT, 128),  # (B, 128)
+            nn.LeakyReLU(0.1),
+            nn.Linear(128, max_sources + 1),  # (B, 5)
+        )
+
+    def forward(self, features: Tensor) -> Tensor:
+        logits: Tensor = self.classifier(self.blocks(features))
+        return logits
