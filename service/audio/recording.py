@@ -11,7 +11,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from io import SEEK_CUR, SEEK_END, SEEK_SET
 from pathlib import Path
-from types import TracebackType
 from typing import BinaryIO, Self
 
 import numpy as np
@@ -145,12 +144,7 @@ class Recording:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _decode(self) -> Iterator[FloatArray]:

@@ -12,10 +12,9 @@ from rich.text import Text
 from service.cli.stream_outputs import note
 from service.cli.terminal import clock, degrees, sector, table
 from service.client import StreamEvent
-from service.protocol.server_messages import OdasSst, Ready, Result, Summary
+from service.protocol.server_messages import ODAS_HOP_S, OdasSst, Ready, Result, Summary
 
 MAX_NOTES = 6
-ODAS_HOP_S = 0.008
 LIKELY_ACTIVE = 0.5
 
 

@@ -8,9 +8,7 @@ import threading
 from collections import deque
 from dataclasses import dataclass
 
-from service.protocol.server_messages import AnyServerMessage, OdasSsl, OdasSst, Result
-
-RESULTS = (Result, OdasSsl, OdasSst)
+from service.protocol.server_messages import RESULTS, AnyServerMessage
 
 
 @dataclass(frozen=True, slots=True)

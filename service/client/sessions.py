@@ -14,12 +14,12 @@ from websockets.exceptions import ConnectionClosed
 from service.client.backoff import Backoff
 from service.client.connection import Timeouts, closed_by, open_connection, read_known
 from service.client.errors import ServiceProblem, ServiceUnreachable, StreamClosed, StreamRefused
-from service.client.inbox import RESULTS, Inbox, Reconnecting
+from service.client.inbox import Inbox, Reconnecting
 from service.client.send_queue import SendQueue
 from service.errors import InvalidOption
 from service.protocol.client_messages import Start, Stop
 from service.protocol.message import Message
-from service.protocol.server_messages import Closing, Ready, Result, StreamError, Summary
+from service.protocol.server_messages import RESULTS, Closing, Ready, Result, StreamError, Summary
 
 NOT_OPEN = "the stream is not open yet: use it as a context manager"
 OPEN_ALREADY = "the stream is open already, or was: make another one"

@@ -23,13 +23,13 @@ from service.doa.array import MAX_MICROPHONES, MicrophoneArray
 from service.doa.stft import Stft
 from service.doa.whitening import NoiseCovariance
 from service.errors import InvalidGeometry, NoiseProfileInvalid
+from service.inference.geometry import MAX_NAME
 
 FORMAT = 1
 MAX_FFT = 4096
 MAX_BYTES = 8 * (MAX_FFT // 2 + 1) * MAX_MICROPHONES**2 + 2**16
 """Of a file: the covariances of the longest frames and the most microphones, and room for the rest;
 profiles of four microphones have 34 kB"""
-MAX_NAME = 64
 HERMITIAN = 1e-4
 """Of the largest value: more asymmetry than float32 leaves"""
 MEMBERS = {

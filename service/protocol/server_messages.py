@@ -324,6 +324,8 @@ SERVER_MESSAGES: tuple[type[ServerMessage], ...] = (
     Closing,
     Summary,
 )
+ODAS_HOP_S = 0.008
+"""Seconds of a hop, the unit of ODAS' ``timeStamp``"""
 RESULTS = (Result, OdasSsl, OdasSst)
 """Messages that say where sounds come from: of a client that lags behind, old ones are dropped"""
 AnyServerMessage = (

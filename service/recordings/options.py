@@ -18,6 +18,7 @@ from service.doa.presets import PRESETS
 from service.errors import InvalidOption, TooManySources, UnknownMethod
 from service.inference.geometry import read_array, read_channel_map
 from service.inference.results import MAX_SOURCES
+from service.protocol.message import SHOWN
 from service.protocol.methods import METHODS
 from service.recordings.results import (
     DEFAULT_HOP_S,
@@ -33,8 +34,6 @@ MAX_DIGITS = 64
 """Characters of a number"""
 MAX_SECTORS = 16
 """As many as a stream may exclude"""
-SHOWN = 60
-"""Characters of a client's value that an error repeats"""
 
 
 @dataclass(frozen=True, slots=True)

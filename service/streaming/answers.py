@@ -10,12 +10,11 @@ from service.doa.orientation import Orientation
 from service.doa.peaks import find_peaks
 from service.doa.tracking import Track
 from service.protocol.degrees import azimuth_deg, degrees, unit_vector
-from service.protocol.server_messages import OdasPotential, OdasSource, StreamSource
+from service.protocol.server_messages import ODAS_HOP_S, OdasPotential, OdasSource, StreamSource
 from service.streaming.pipeline import Estimate
 
 ODAS_PLACES = 4
 """Directions and tracks of every ODAS object; empty ones are zero"""
-ODAS_HOP_S = 0.008
 
 
 def result_fields(

@@ -12,7 +12,7 @@ from source_tree import ROOT, imported, modules, own_imports, room
 ORDER = {
     "service": (
         ("__init__", "errors"),
-        ("access", "doa", "machine", "protocol"),
+        ("access", "doa", "lifecycle", "machine", "protocol"),
         ("audio", "inference", "settings"),
         ("observability", "recordings", "startup", "streaming"),
         ("workers",),
