@@ -12,6 +12,7 @@ import torch
 from model_export.__main__ import main
 from model_export.simulation import array_rooms, rooms
 from model_export.simulation.synthesis import synthetic_voice
+from model_export.training import train
 
 # The networks here are small, and busy machines run other tests beside them.
 torch.set_num_threads(1)
@@ -42,6 +43,7 @@ def paper_run(corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rooms, "CHUNK_ROOMS", 2)
         patch.setattr(array_rooms, "DIFFUSE_FIELDS", 1)
+        patch.setattr(train, "VALIDATION_BATCHES", 1)
         first = [*command, "--config", "paper-sscl", "--run", str(folder / "sscl")]
         assert main(first) == 0
         second = [*command, "--config", "paper", "--run", str(folder / "paper")]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from model_export.__main__ import main
+from model_export.evaluation import ego_noise
 from model_export.evaluation.ego_noise import NOISES, Score, learnt, table
 from service.doa.presets import preset
 
@@ -32,10 +33,14 @@ def test_the_table_says_what_was_measured() -> None:
     assert row == "| `neural` | learnt | 2.0° | 11.0° | 67% | 7 | 0.5° | 100% |"
 
 
-def test_the_page_has_a_table_for_every_noise(corpus: Path, tmp_path: Path) -> None:
+def test_the_page_has_a_table_for_every_noise(
+    corpus: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    some = dict(list(NOISES.items())[:2])
+    monkeypatch.setattr(ego_noise, "NOISES", some)
     out = tmp_path / "ego-noise.md"
-    command = ["ego-noise", "--speech-commands", str(corpus), "--scenes", "2", "--alone", "3"]
+    command = ["ego-noise", "--speech-commands", str(corpus), "--scenes", "1", "--alone", "1.5"]
     assert main([*command, "--out", str(out)]) == 0
     page = out.read_text()
-    assert [line[5:] for line in page.splitlines() if line.startswith("## A ")] == list(NOISES)
-    assert page.count("| `neural` | learnt |") == len(NOISES)
+    assert [line[5:] for line in page.splitlines() if line.startswith("## A ")] == list(some)
+    assert page.count("| `neural` | learnt |") == len(some)

@@ -6,18 +6,18 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import model_export.evaluation.evaluate
 from model_export.__main__ import main
+from model_export.datasets.speech import load, speech_commands
+from model_export.evaluation import figures
 from model_export.evaluation.cells import CELLS, SHORT_CELL
-from model_export.evaluation.evaluate import run
+from model_export.evaluation.evaluate import SEEDS, run
 from model_export.evaluation.false_sources import NOISES
 from model_export.evaluation.methods import PEER, Methods
 from model_export.evaluation.results import TITLES, Results
 from model_export.evaluation.workers import Inputs, Workers
-from model_export.simulation.synthesis import synthetic_voice
 from service.inference.registry import EMBEDDED_MODELS
 
 ANY_ARRAY = EMBEDDED_MODELS / "any-array"
@@ -26,21 +26,37 @@ ANY_ARRAY = EMBEDDED_MODELS / "any-array"
 @pytest.fixture
 def command(corpus: Path) -> list[str]:
     bundle = ["--bundle", str(ANY_ARRAY), "--speech-commands", str(corpus)]
-    return ["evaluate", *bundle, "--scenes", "1", "--workers", "1"]
+    return ["evaluate", *bundle, "--scenes", "1", "--workers", "2"]
 
 
-def test_tables_and_figures_are_written(
-    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    noises = [replace(noise, seconds=1.5) for noise in NOISES]
-    monkeypatch.setattr(model_export.evaluation.evaluate, "NOISES", noises)
-    readme = tmp_path / "README.md"
+SHORT_NOISES = [replace(noise, seconds=1.5) for noise in NOISES]
+
+
+def _ends(sweep: figures.Sweep) -> figures.Sweep:
+    """The first and the last point."""
+    points = list(sweep.points.items())
+    return replace(sweep, points=dict(points[:: len(points) - 1]))
+
+
+@pytest.fixture(scope="module")
+def evaluated(corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with README.md and docs/ of a whole run by two processes."""
+    folder = tmp_path_factory.mktemp("evaluated")
+    readme = folder / "README.md"
     readme.write_text("before <!-- results: begin --> old <!-- results: end --> after")
-    out = tmp_path / "docs"
-    command += ["--out", str(out), "--figures", "1", "--readme", str(readme)]
-    assert main(command) == 0
+    command = ["evaluate", "--bundle", str(ANY_ARRAY), "--speech-commands", str(corpus)]
+    command += ["--scenes", "1", "--workers", "2", "--out", str(folder / "docs")]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(model_export.evaluation.evaluate, "NOISES", SHORT_NOISES)
+        patch.setattr(figures, "SWEEPS", [_ends(sweep) for sweep in figures.SWEEPS])
+        assert main([*command, "--figures", "1", "--readme", str(readme)]) == 0
+    return folder
+
+
+def test_tables_and_figures_are_written(evaluated: Path) -> None:
+    out = evaluated / "docs"
     results = json.loads((out / "results.json").read_text())
-    assert set(results["cells"]) == {cell.name for cell in (*CELLS, *noises)}
+    assert set(results["cells"]) == {cell.name for cell in (*CELLS, *SHORT_NOISES)}
     for cell in CELLS:
         scores = results["cells"][cell.name]
         assert set(scores) == {"any-array", "norm_music", "music", "srp_phat", PEER}
@@ -54,7 +70,7 @@ def test_tables_and_figures_are_written(
         "error-over-snr.png",
         "reliability.png",
     ]
-    text = readme.read_text()
+    text = (evaluated / "README.md").read_text()
     assert text.startswith("before <!-- results: begin -->\n")
     assert text.endswith("<!-- results: end --> after")
     assert " old " not in text
@@ -86,15 +102,16 @@ def test_what_would_leave_half_a_truth_is_refused(
     assert says in capsys.readouterr().err
 
 
-def test_the_number_of_workers_changes_nothing() -> None:
-    rng = np.random.default_rng(0)
-    voices = [synthetic_voice(rng, 1.0) for _ in range(4)]
-    found = []
-    for count in (1, 2):
-        with Workers.start(Inputs(Methods([ANY_ARRAY]), voices, seed=3), count) as workers:
-            found.append(run(workers, 3, cells=[CELLS[0], SHORT_CELL]))
-    assert found[0] == found[1]
-    assert found[0].protocols[SHORT_CELL.name]["num_samples"] == 8000
+def test_the_number_of_workers_changes_nothing(evaluated: Path, corpus: Path) -> None:
+    by_two = Results.read(evaluated / "docs" / "results.json")
+    speech = load(speech_commands(corpus, "heldout"))
+    inputs = Inputs(Methods([ANY_ARRAY]), speech, SEEDS["heldout"])
+    with Workers.start(inputs) as workers:
+        alone = run(workers, 1, cells=[CELLS[0], SHORT_CELL])
+    assert list(alone.cells) == [CELLS[0].name, SHORT_CELL.name]
+    for name, scores in alone.cells.items():
+        assert scores == by_two.cells[name]
+    assert alone.protocols[SHORT_CELL.name]["num_samples"] == 8000
 
 
 def test_a_method_that_does_not_fit_a_cell_shows_as_a_dash() -> None:

@@ -31,6 +31,14 @@ REACH = 3 + 4 + 8 + 8 + 16
 """Frames that the network looks back; before them it saw the window's zero padding"""
 
 
+@cache
+def embedded_graph() -> Engine:
+    """The stream graph that the embedded bundle ships."""
+    engine = load_bundle(EMBEDDED_MODELS / "any-array").covariance_stream
+    assert engine is not None
+    return engine
+
+
 def untrained(trunk: Trunk) -> WeightsNetwork:
     """Random parameters, and statistics as if there had been a training."""
     torch.manual_seed(0)
@@ -63,12 +71,6 @@ def exported(network: WeightsNetwork, folder: Path) -> Engine:
     path = folder / "stream.onnx"
     export_onnx(stream_graph(network, BINS), path)
     return Engine(path.read_bytes(), path.name)
-
-
-@pytest.fixture(scope="module")
-def embedded_engine(tmp_path_factory: pytest.TempPathFactory) -> Engine:
-    """The embedded bundle's network, exported anew."""
-    return exported(embedded(), tmp_path_factory.mktemp("stream"))
 
 
 @pytest.fixture(scope="module", params=["strided", "separable"])
@@ -128,10 +130,18 @@ def test_steps_of_any_length_give_the_window(
 
 @FEW
 @given(lengths=LENGTHS)
-def test_steps_of_the_graph_give_the_window(
-    lengths: list[int], embedded_engine: Engine, features: FloatArray
+def test_steps_of_the_embedded_graph_give_the_window(
+    lengths: list[int], features: FloatArray
 ) -> None:
-    assert differences(embedded_engine.run, embedded(), features, lengths) < 1e-3
+    assert differences(embedded_graph().run, embedded(), features, lengths) < 1e-3
+
+
+@pytest.mark.learns
+def test_an_exported_graph_is_the_embedded_one(features: FloatArray, tmp_path: Path) -> None:
+    engine = exported(embedded(), tmp_path)
+    inputs = [features[:, :, :6], *engine.initial_state()]
+    for found, expected in zip(engine.run(inputs), embedded_graph().run(inputs), strict=True):
+        assert np.abs(found - expected).max() < 1e-4
 
 
 @pytest.mark.learns
@@ -143,13 +153,10 @@ def test_steps_of_untrained_graphs_give_the_window(
         assert differences(engine.run, untrained_network, features, lengths) < 1e-3
 
 
-def test_the_embedded_stream_graph_is_the_embedded_networks(
-    features: FloatArray, embedded_engine: Engine
-) -> None:
-    theirs = load_bundle(EMBEDDED_MODELS / "any-array").covariance_stream
-    assert theirs is not None
-    inputs = [features[:, :, :6], *theirs.initial_state()]
-    for found, expected in zip(embedded_engine.run(inputs), theirs.run(inputs), strict=True):
+def test_the_embedded_graph_is_the_embedded_networks(features: FloatArray) -> None:
+    inputs = [features[:, :, :6], *embedded_graph().initial_state()]
+    ours, theirs = in_torch(embedded())(inputs), embedded_graph().run(inputs)
+    for found, expected in zip(ours, theirs, strict=True):
         assert np.abs(found - expected).max() < 1e-4
 
 
