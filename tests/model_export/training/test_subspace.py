@@ -14,7 +14,7 @@ from model_export.training.subspace import (
     signal_power,
     signal_projector,
 )
-from service.doa import evd as served
+from service.doa import evd, music
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.steering import azimuth_grid, steering_vectors, unit_vectors
@@ -145,12 +145,12 @@ def test_training_and_service_compute_the_same_spectra(num_sources: int) -> None
     root = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
     covariance = (root @ root.conj().swapaxes(-1, -2)).astype(np.complex64)
     steering = steering_vectors(ARRAY.positions, FREQUENCIES, azimuth_grid(72))
-    subspace = served.signal_subspace(covariance, num_sources)
-    expected = served.music_spectrum(subspace, steering, floor=0.04)
+    subspace = evd.signal_subspace(covariance, num_sources)
+    expected = music.music_spectrum(subspace, steering, floor=0.04)
     projector = signal_projector(torch.from_numpy(covariance), num_sources)
     power = signal_power(projector[:, None], products_of(ARRAY))[:, 0]
     spectrum = 1 / (1 - power.clamp(max=1) + 0.04)
-    np.testing.assert_allclose(power, served.signal_power(subspace, steering), atol=1e-5)
+    np.testing.assert_allclose(power, evd.signal_power(subspace, steering), atol=1e-5)
     np.testing.assert_allclose(spectrum, expected, rtol=1e-3)
 
 
