@@ -150,7 +150,7 @@ def test_training_and_service_compute_the_same_spectra(num_sources: int) -> None
     projector = signal_projector(torch.from_numpy(covariance), num_sources)
     power = signal_power(projector[:, None], products_of(ARRAY))[:, 0]
     spectrum = 1 / (1 - power.clamp(max=1) + 0.04)
-    np.testing.assert_allclose(power, evd.signal_power(subspace, steering), atol=1e-5)
+    np.testing.assert_allclose(power, music.signal_power(subspace, steering), atol=1e-5)
     np.testing.assert_allclose(spectrum, expected, rtol=1e-3)
 
 
