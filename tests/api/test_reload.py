@@ -15,7 +15,7 @@ from typing import Any
 
 import httpx2
 import pytest
-from running_service import RunningService
+from running_service import WORKERS_LATER, RunningService
 from websocket_stream import PATIENCE, SECOND, end, opened, started, until
 
 from service.inference.registry import EMBEDDED_MODELS
@@ -31,26 +31,39 @@ def write_version(folder: Path, version: str) -> None:
     path.write_text(json.dumps({**fields, "name": "robot", "version": version}))
 
 
+@pytest.fixture(scope="module")
+def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of bundles."""
+    return tmp_path_factory.mktemp("bundles") / "models"
+
+
 @pytest.fixture
-def bundle(tmp_path: Path) -> Path:
-    """A bundle of the user's, in a folder of bundles."""
-    folder = tmp_path / "models" / "robot"
+def bundle(models: Path) -> Iterator[Path]:
+    """A bundle of the user's, whose files the test may change."""
+    yield write_bundle(models)
+    shutil.rmtree(models, ignore_errors=True)
+
+
+def write_bundle(models: Path) -> Path:
+    folder = models / "robot"
     shutil.copytree(EMBEDDED_MODELS / "any-array", folder)
     write_version(folder, "1.0.0")
     return folder
 
 
-@pytest.fixture
-def service(bundle: Path) -> Iterator[RunningService]:
-    settings = Settings(workers=1, stream_workers=1, models=(bundle.parent,))
-    running = RunningService(settings=settings)
+@pytest.fixture(scope="module")
+def service(models: Path) -> Iterator[RunningService]:
+    write_bundle(models)
+    settings = Settings(workers=1, stream_workers=1, models=(models,))
+    running = RunningService(settings=settings, workers_ahead=True)
+    shutil.rmtree(models)
     yield running
     running.stop()
 
 
-def version(url: str) -> str:
+def version(url: str, client: Any = httpx2) -> str:
     """Of the model that new requests get."""
-    models = httpx2.get(f"{url}/models", timeout=PATIENCE).json()["models"]
+    models = client.get(f"{url}/models", timeout=PATIENCE).json()["models"]
     return next(str(model["version"]) for model in models if model["name"] == "robot")
 
 
@@ -70,10 +83,56 @@ def reload(service: RunningService) -> httpx2.Response:
     return httpx2.post(f"{service.url}/admin/reload", timeout=PATIENCE)
 
 
+@pytest.mark.parametrize("damage", ["covariance.onnx", "bundle.json", "golden.npz"])
+def test_a_bad_bundle_leaves_the_old_one_serving(
+    service: RunningService, bundle: Path, sounds: Any, damage: str
+) -> None:
+    pids, serving = service.worker_pids, version(service.url)
+    write_version(bundle, "3.0.0")
+    content = bytearray((bundle / damage).read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    (bundle / damage).write_bytes(content)
+    refused = reload(service)
+    assert (refused.status_code, refused.json()["code"]) == (409, "reload_refused")
+    assert damage in refused.json()["detail"]
+    assert version(service.url) == localized_with(service, sounds.wav()) == serving
+    assert service.worker_pids == pids
+
+
+def test_a_folder_that_is_gone_leaves_the_old_models_serving(
+    service: RunningService, bundle: Path
+) -> None:
+    """A volume that is not mounted, say: the embedded models must not take over in silence."""
+    serving = version(service.url)
+    shutil.rmtree(bundle.parent)
+    refused = reload(service)
+    assert (refused.status_code, refused.json()["code"]) == (409, "reload_refused")
+    assert version(service.url) == serving
+
+
+def test_a_folder_that_changes_without_a_reload_changes_nothing(
+    service: RunningService, bundle: Path
+) -> None:
+    serving = version(service.url)
+    shutil.rmtree(bundle)
+
+    async def run() -> str:
+        async with opened(service) as lost:
+            await started(lost, **NEURAL)
+            (pid,) = service.worker_pids
+            os.kill(pid, signal.SIGKILL)
+            assert (await end(lost))[0]["code"] == "worker_lost"
+        async with opened(service) as socket:  # on a worker that starts only now
+            return str((await started(socket, **NEURAL))["model"]["version"])
+
+    assert asyncio.run(run()) == serving
+
+
 def test_new_work_gets_the_new_models_and_a_running_stream_keeps_its_own(
     service: RunningService, bundle: Path, sounds: Any
 ) -> None:
-    assert localized_with(service, sounds.wav()) == "1.0.0"
+    serving = version(service.url)
+    assert localized_with(service, sounds.wav()) == serving != "2.0.0"
 
     async def run() -> list[str]:
         async with opened(service) as old:
@@ -89,76 +148,21 @@ def test_new_work_gets_the_new_models_and_a_running_stream_keeps_its_own(
         return versions
 
     (before,) = service.worker_pids
-    assert asyncio.run(run()) == ["1.0.0", "2.0.0"]
+    assert asyncio.run(run()) == [serving, "2.0.0"]
     assert version(service.url) == localized_with(service, sounds.wav()) == "2.0.0"
     while before in service.worker_pids:  # it ends with its last stream
         assert httpx2.get(f"{service.url}/livez").status_code == 200
 
 
-@pytest.mark.parametrize("damage", ["covariance.onnx", "bundle.json", "golden.npz"])
-def test_a_bad_bundle_leaves_the_old_one_serving(
-    service: RunningService, bundle: Path, sounds: Any, damage: str
-) -> None:
-    pids = service.worker_pids
-    write_version(bundle, "2.0.0")
-    content = bytearray((bundle / damage).read_bytes())
-    content[len(content) // 2] ^= 0xFF
-    (bundle / damage).write_bytes(content)
-    refused = reload(service)
-    assert (refused.status_code, refused.json()["code"]) == (409, "reload_refused")
-    assert damage in refused.json()["detail"]
-    assert version(service.url) == localized_with(service, sounds.wav()) == "1.0.0"
-    assert service.worker_pids == pids
+def wait_for_version(expected: str, url: str, process: subprocess.Popen[str]) -> None:
+    with httpx2.Client(timeout=PATIENCE) as client:
+        while version(url, client) != expected:
+            assert process.poll() is None
 
 
-def test_a_folder_that_is_gone_leaves_the_old_models_serving(
-    service: RunningService, bundle: Path
-) -> None:
-    """A volume that is not mounted, say: the embedded models must not take over in silence."""
-    bundle.parent.rename(bundle.parent.with_name("elsewhere"))
-    refused = reload(service)
-    assert (refused.status_code, refused.json()["code"]) == (409, "reload_refused")
-    assert version(service.url) == "1.0.0"
-
-
-def test_a_folder_that_changes_without_a_reload_changes_nothing(
-    service: RunningService, bundle: Path
-) -> None:
-    shutil.rmtree(bundle)
-
-    async def run() -> str:
-        async with opened(service) as lost:
-            await started(lost, **NEURAL)
-            (pid,) = service.worker_pids
-            os.kill(pid, signal.SIGKILL)
-            assert (await end(lost))[0]["code"] == "worker_lost"
-        async with opened(service) as socket:  # on a worker that starts only now
-            return str((await started(socket, **NEURAL))["model"]["version"])
-
-    assert asyncio.run(run()) == "1.0.0"
-
-
-def test_a_hang_up_signal_reloads(bundle: Path) -> None:
-    program = "import sys; from service.cli import main; sys.exit(main(sys.argv[1:]))"
-    flags = ["serve", "--port", "0", "--workers", "1", "--models", str(bundle.parent)]
-    with subprocess.Popen(
-        [sys.executable, "-c", program, *flags], stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        url = process.stdout.readline().split()[-1]
-        try:
-            write_version(bundle, "2.0.0")
-            process.send_signal(signal.SIGHUP)
-            while version(url) != "2.0.0":
-                assert process.poll() is None
-        finally:
-            process.terminate()
-    assert process.returncode in (0, -signal.SIGTERM)
-
-
-def test_a_hang_up_signal_during_the_start_is_not_lost(bundle: Path) -> None:
-    """It comes when the models have been read and nothing waits for signals yet."""
-    program = f"""
+def test_a_hang_up_signal_reloads_and_is_not_lost_during_the_start(bundle: Path) -> None:
+    """The first comes when the models have been read and nothing waits for signals yet."""
+    program = f"""{WORKERS_LATER}
 import os, signal, sys
 from pathlib import Path
 import service.server
@@ -174,15 +178,21 @@ service.server.load_registry = loaded
 sys.exit(main(["serve", "--port", "0", "--workers", "1", "--models", {str(bundle.parent)!r}]))
 """
     with subprocess.Popen(
-        [sys.executable, "-c", program], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", program],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
     ) as process:
         assert process.stdout is not None
         url = process.stdout.readline().split()[-1]
         try:
-            while version(url) != "2.0.0":
-                assert process.poll() is None
+            wait_for_version("2.0.0", url, process)
+            write_version(bundle, "3.0.0")
+            process.send_signal(signal.SIGHUP)
+            wait_for_version("3.0.0", url, process)
         finally:
             process.terminate()
+    assert process.returncode in (0, -signal.SIGTERM)
 
 
 def test_a_stream_worker_that_stands_still_is_killed(

@@ -27,7 +27,10 @@ from service.settings import Settings
 
 @pytest.fixture(scope="module")
 def service() -> Iterator[RunningService]:
-    running = RunningService(settings=Settings(workers=1, max_sessions=8, idle_timeout_s=20))
+    settings = Settings(
+        workers=1, stream_workers=1, max_sessions=8, max_sessions_per_client=1, idle_timeout_s=20
+    )
+    running = RunningService(settings=settings)
     yield running
     running.stop()
 
@@ -101,19 +104,14 @@ def test_a_message_precedes_every_close_frame(
     assert (last["code"], closed_with) == (code, close_code)
 
 
-def test_one_client_name_has_a_bounded_number_of_streams() -> None:
-    running = RunningService(settings=Settings(workers=1, max_sessions_per_client=1))
-
+def test_one_client_name_has_a_bounded_number_of_streams(service: RunningService) -> None:
     async def run() -> tuple[dict[str, Any], int | None]:
-        async with opened(running) as first, opened(running) as second:
+        async with opened(service) as first, opened(service) as second:
             await started(first, client="robot")
             await second.send(json.dumps({**START, "client": "robot"}))
             return await end(second)
 
-    try:
-        last, close_code = asyncio.run(run())
-    finally:
-        running.stop()
+    last, close_code = asyncio.run(run())
     assert (last["code"], close_code) == ("too_many_sessions", 4429)
 
 
@@ -275,8 +273,29 @@ def test_an_unknown_session_is_a_404_problem(service: RunningService) -> None:
         assert (response.status_code, response.json()["code"]) == (404, "not_found")
 
 
-def test_a_stopping_service_says_goodbye_and_takes_nobody_new() -> None:
-    running = RunningService(settings=Settings(workers=1))
+def test_streams_of_a_worker_that_dies_are_closed_and_the_next_ones_run(
+    service: RunningService,
+) -> None:
+    async def run() -> tuple[dict[str, Any], int | None, dict[str, Any]]:
+        async with opened(service) as first:
+            await started(first)
+            (pid,) = service.worker_pids
+            os.kill(pid, signal.SIGKILL)
+            await first.send(SECOND[:65_536])
+            last, close_code = await end(first)
+        async with opened(service) as second:
+            await started(second)
+            await second.send(SECOND[:65_536])
+            return last, close_code, await until(second, "result")
+
+    last, close_code, result = asyncio.run(run())
+    assert (last["code"], last["retryable"], close_code) == ("worker_lost", True, 1011)
+    assert result["t_end"] == pytest.approx(0.1)
+
+
+def test_a_stopping_service_says_goodbye_takes_nobody_new_and_ends_its_workers() -> None:
+    running = RunningService(settings=Settings(workers=1, stream_workers=1), workers_ahead=True)
+    (pid,) = running.worker_pids
 
     async def run() -> tuple[list[str], dict[str, Any], int | None]:
         async with opened(running) as socket:
@@ -294,34 +313,5 @@ def test_a_stopping_service_says_goodbye_and_takes_nobody_new() -> None:
     kinds, closing, close_code = asyncio.run(run())
     assert kinds[-2:] == ["summary", "closing"]
     assert (closing["code"], close_code) == ("draining", 1012)
-
-
-def test_streams_of_a_worker_that_dies_are_closed_and_the_next_ones_run() -> None:
-    running = RunningService(settings=Settings(workers=1, stream_workers=1))
-
-    async def run() -> tuple[dict[str, Any], int | None, dict[str, Any]]:
-        async with opened(running) as first:
-            await started(first)
-            (pid,) = running.worker_pids
-            os.kill(pid, signal.SIGKILL)
-            await first.send(SECOND[:65_536])
-            last, close_code = await end(first)
-        async with opened(running) as second:
-            await started(second)
-            await second.send(SECOND[:65_536])
-            return last, close_code, await until(second, "result")
-
-    try:
-        last, close_code, result = asyncio.run(run())
-    finally:
-        running.stop()
-    assert (last["code"], last["retryable"], close_code) == ("worker_lost", True, 1011)
-    assert result["t_end"] == pytest.approx(0.1)
-
-
-def test_workers_end_with_the_service() -> None:
-    running = RunningService(settings=Settings(workers=1, stream_workers=1))
-    (pid,) = running.worker_pids
-    running.stop()
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
