@@ -5,11 +5,13 @@ BIN := $(VENV)/bin
 HOST := $(or $(NEURALMUSIC_HOST),127.0.0.1)
 PORT := $(or $(NEURALMUSIC_PORT),8000)
 
-.PHONY: help install run test test-docker test-faults test-fuzz test-learns test-ray test-soak lint types format bench contracts audit clean
+.PHONY: help install run test test-costs test-docker test-faults test-fuzz test-learns test-page test-ray test-soak lint types format bench contracts audit clean
 
 help:
 	@echo "make run      install and start the service with its embedded model (no torch)"
-	@echo "make test     install everything and run the tests"
+	@echo "make test     install everything and run the tests (3 minutes)"
+	@echo "make test-page    the web page in a headless Chromium"
+	@echo "make test-costs   CPU time and memory against sizes"
 	@echo "make test-docker  build the image, start it as docs/deployment.md says, restart it under load"
 	@echo "make test-faults  killed workers and replicas, cut networks, full disks (as root)"
 	@echo "make test-fuzz    hostile requests, uploads and streams by the thousand"
@@ -28,11 +30,13 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.ready: pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --editable .
+	@echo "Installing the service into $(VENV): about 400 MB, a minute or two ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	@touch $@
 
 $(VENV)/.installed: pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	@echo "Installing everything for developers into $(VENV), torch included: 2 GB, some minutes ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@ $(VENV)/.ready
 
 install: $(VENV)/.installed
@@ -45,10 +49,11 @@ run: $(VENV)/.ready
 	@echo
 	@exec $(BIN)/neuralmusic serve
 
+# Two processes, a file in one of them: half of the tests' time is waiting for processes to start.
 test: install
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
-test-docker test-faults test-fuzz test-learns test-soak: test-%: install
+test-costs test-docker test-faults test-fuzz test-learns test-page test-soak: test-%: install
 	$(BIN)/python -m pytest -m $* -rs
 
 test-ray: install

@@ -14,6 +14,7 @@ from running_service import serving
 from service.access.key_file import Key, new_token, token_sha256
 
 expect = pytest.importorskip("playwright.sync_api", reason="needs playwright").expect
+pytestmark = pytest.mark.page
 
 Visits = Callable[..., Any]
 SAMPLE = Path(__file__).parents[2] / "examples" / "two-talkers.flac"

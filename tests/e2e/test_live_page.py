@@ -37,6 +37,7 @@ from service.protocol.server_messages import (
 )
 
 expect = pytest.importorskip("playwright.sync_api", reason="needs playwright").expect
+pytestmark = pytest.mark.page
 
 SAMPLE = Path(__file__).parents[2] / "examples" / "two-talkers.flac"
 Visits = Callable[..., Any]

@@ -23,6 +23,7 @@ from service.doa.scoring import circular_error
 from .conftest import keep_picture
 
 expect = pytest.importorskip("playwright.sync_api", reason="needs playwright").expect
+pytestmark = pytest.mark.page
 
 Visits = Callable[..., Any]
 QUIET_S, TALK_S = 0.5, 6.5

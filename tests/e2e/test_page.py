@@ -22,6 +22,7 @@ from service.doa.scoring import circular_error
 from .conftest import keep_picture
 
 expect = pytest.importorskip("playwright.sync_api", reason="needs playwright").expect
+pytestmark = pytest.mark.page
 
 Visits = Callable[..., Any]
 """Opens the page, as the fixture ``visit`` does"""

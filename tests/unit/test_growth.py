@@ -24,6 +24,8 @@ from service.protocol.client_messages import OutputOptions
 from service.recordings.localize import localize_recording
 from service.recordings.results import LocalizeOptions
 
+pytestmark = pytest.mark.costs
+
 SQUARE = preset("respeaker-usb-4mic-v2")
 LINEAR, QUADRATIC = 1.25, 2.2
 """Exponents, with room for noise"""

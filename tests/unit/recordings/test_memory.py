@@ -21,6 +21,8 @@ from service.recordings.answer_json import localization_json
 from service.recordings.localize import localize_recording
 from service.recordings.results import LocalizeOptions
 
+pytestmark = pytest.mark.costs
+
 RATE = 16000
 ARRAY = preset("respeaker-usb-4mic-v2")
 LENGTHS = (300, 1500)
