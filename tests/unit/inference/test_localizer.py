@@ -48,12 +48,12 @@ ARRAYS = {
 def test_one_talker_is_found_on_any_array(
     method: str, name: str, registry: BundleRegistry, plane_waves
 ) -> None:
-    truth = np.concatenate([[3.0, 77.7, 181.2, 359.4], 9.7 * np.arange(36)])
+    truth = np.array([3.0, 77.7, 181.2, 359.4, 29, 58, 107, 136, 214, 243, 291, 320])
     array = ARRAYS[name]
     windows = np.stack([plane_waves(array, [t], seed=i) for i, t in enumerate(truth)])
     one = localizer(method, array, registry)
     told = azimuths(one.estimate(windows, 1, 3))
-    assert [len(found) for found in told] == [1] * 40
+    assert [len(found) for found in told] == [1] * len(truth)
     assert np.rad2deg(circular_error(np.concatenate(told), np.deg2rad(truth)).max()) < 2.0
     # Nobody counts without a mistake, but nine windows in ten hold the talker and nothing else.
     counted = azimuths(one.estimate(windows, None, 3))
