@@ -179,6 +179,7 @@ def loss(model: TrainedModel, scenes: LabelledScenes) -> float:
     return float(model.task.losses(batch)["loss"])
 
 
+@pytest.mark.learns
 @pytest.mark.parametrize("variant", ["weights", "regression"])
 def test_training_fits_the_recordings_and_is_deterministic(
     variant: str, request: pytest.FixtureRequest, own_room: Path, square: MicrophoneArray

@@ -44,6 +44,7 @@ def taught() -> tuple[WeightsTask, DistilTask]:
     return teacher, task
 
 
+@pytest.mark.learns
 def test_a_few_steps_bring_it_to_its_teacher(batch: CellBatch) -> None:
     _, task = taught()
     optimizer = torch.optim.AdamW(task.model.parameters(), lr=3e-3)

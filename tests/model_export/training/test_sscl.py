@@ -151,6 +151,7 @@ def test_the_loss_is_the_share_of_the_power_that_is_missing() -> None:
         assert task.scores(batch)["unexplained"] == pytest.approx(1, abs=1e-5)
 
 
+@pytest.mark.learns
 def test_the_task_learns_and_reaches_every_parameter() -> None:
     torch.manual_seed(0)
     task = task_of(PAPER_SSCL)

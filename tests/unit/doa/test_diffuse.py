@@ -22,7 +22,7 @@ def dying_away(positions: FloatArray, seed: int = 0) -> list[FloatArray]:
     envelope = 10 ** (-3 * np.arange(length) / RATE / 0.3)  # 60 dB in 0.3 s
     segments = []
     for _ in range(20):
-        towards = random.standard_normal((64, 3))
+        towards = random.standard_normal((24, 3))
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
         waves = np.fft.rfft(random.standard_normal((len(towards), length)))
         advance = np.exp(2j * np.pi * frequency * (positions @ towards.T)[..., None] / 343.0)
