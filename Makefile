@@ -5,12 +5,13 @@ BIN := $(VENV)/bin
 HOST := $(or $(NEURALMUSIC_HOST),127.0.0.1)
 PORT := $(or $(NEURALMUSIC_PORT),8000)
 
-.PHONY: help install run test test-costs test-docker test-faults test-fuzz test-learns test-page test-ray test-soak lint types format bench contracts audit clean
+.PHONY: help install run test test-costs test-docker test-faults test-fuzz test-learns test-page test-processes test-ray test-soak lint types format bench contracts audit clean
 
 help:
 	@echo "make run      install and start the service with its embedded model (no torch)"
 	@echo "make test     install everything and run the tests (3 minutes)"
 	@echo "make test-page    the web page in a headless Chromium"
+	@echo "make test-processes  workers and services that reload, drain, restart and die"
 	@echo "make test-costs   CPU time and memory against sizes"
 	@echo "make test-docker  build the image, start it as docs/deployment.md says, restart it under load"
 	@echo "make test-faults  killed workers and replicas, cut networks, full disks (as root)"
@@ -53,7 +54,7 @@ run: $(VENV)/.ready
 test: install
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
-test-costs test-docker test-faults test-fuzz test-learns test-page test-soak: test-%: install
+test-costs test-docker test-faults test-fuzz test-learns test-page test-processes test-soak: test-%: install
 	$(BIN)/python -m pytest -m $* -rs
 
 test-ray: install

@@ -9,11 +9,14 @@ from contextlib import suppress
 from pathlib import Path
 
 import httpx2
+import pytest
 from running_service import RunningService
 from websockets.exceptions import ConnectionClosedError
 from websockets.sync.client import ClientConnection, connect
 
 from service.settings import Settings
+
+pytestmark = pytest.mark.processes
 
 ROOT = Path(__file__).parents[2]
 PATIENCE = 30

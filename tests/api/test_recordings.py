@@ -136,6 +136,7 @@ def test_a_stopping_service_ends_what_runs_and_refuses_what_comes(service: Any) 
         assert "retry-after" in response.headers
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     ("number", "status", "code"),
     [(signal.SIGSEGV, 422, "decoding_failed"), (signal.SIGKILL, 503, "worker_lost")],
@@ -162,6 +163,7 @@ def helpers(pid: int) -> list[int]:
     return []
 
 
+@pytest.mark.processes
 @pytest.mark.skipif(sys.platform != "linux", reason="workers fork helpers on Linux only")
 def test_a_helper_that_dies_takes_one_recording_with_it(service: Any) -> None:
     running = service(processes=2)
@@ -193,6 +195,7 @@ def test_a_long_recording_is_the_same_from_one_process_and_from_three(service: A
     assert shared["summary"] == alone["summary"]
 
 
+@pytest.mark.processes
 def test_a_worker_that_stalls_is_replaced(service: Any) -> None:
     running = service(stall_timeout_s=1)
     with running.busy() as first:

@@ -21,6 +21,8 @@ from websocket_stream import PATIENCE, SECOND, end, opened, started, until
 from service.inference.registry import EMBEDDED_MODELS
 from service.settings import Settings
 
+pytestmark = pytest.mark.processes
+
 ARRAY = "respeaker-usb-4mic-v2"
 NEURAL = {"method": "neural", "model": "robot"}
 

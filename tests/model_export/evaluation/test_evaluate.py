@@ -79,7 +79,20 @@ def test_tables_and_figures_are_written(evaluated: Path) -> None:
 def test_a_part_of_the_evaluation_is_printed(
     command: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([*command, "--cells", "M=2, order 4, 30 dB*", "--split", "development", "--workers", "1"]) == 0
+    assert (
+        main(
+            [
+                *command,
+                "--cells",
+                "M=2, order 4, 30 dB*",
+                "--split",
+                "development",
+                "--workers",
+                "1",
+            ]
+        )
+        == 0
+    )
     out = capsys.readouterr().out
     rows = [line.split(" | ")[0] for line in out.split("## Mean absolute")[1].splitlines()]
     assert rows[4:6] == ["| M=2, order 4, 30 dB", "| M=2, order 4, 30 dB, count unknown"]

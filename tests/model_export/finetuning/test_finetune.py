@@ -103,6 +103,7 @@ def test_the_parameters_give_the_graphs_outputs(
         np.testing.assert_allclose(given.numpy(), graph, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.learns
 def test_the_parameters_of_the_papers_networks(regression: Path) -> None:
     """Graphs with any number of windows, of networks with batch statistics of their own."""
     bundle = load_bundle(regression)

@@ -89,6 +89,7 @@ def test_parquet_holds_what_json_lines_hold(
 NAMES = ("id", "azimuth_deg", "confidence")
 
 
+@pytest.mark.processes
 def test_a_killed_run_goes_on_where_it_was(
     archive: Path, write_talker: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -15,6 +15,8 @@ from service.batch.local import localize_here
 from service.batch.plan import Plan
 from service.errors import WorkerLost
 
+pytestmark = pytest.mark.processes
+
 LONG_S = 20.0
 """Seconds of audio, of which a part is done long before the rest"""
 

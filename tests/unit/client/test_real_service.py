@@ -138,6 +138,7 @@ def test_the_service_s_refusal_is_its_own_sentence(
     assert (caught.value.code, caught.value.close_code) == ("array_unknown", 4400)
 
 
+@pytest.mark.processes
 def test_a_robot_survives_a_restart_of_the_service(square: MicrophoneArray, talk: Any) -> None:
     first = RunningService()
     asked = options(square, overflow="drop_oldest", backoff=Backoff(0.05, 0.2))

@@ -6,6 +6,7 @@ import asyncio
 import os
 import signal
 
+import pytest
 from scripted_service import TIMEOUT_S
 
 from service.observability.metrics import Metrics
@@ -15,6 +16,8 @@ from service.startup import load_registry
 from service.streaming.work import Open, Outcome
 from service.workers.link import Setup
 from service.workers.stream_pool import ENOUGH, StreamWorker, StreamWorkers
+
+pytestmark = pytest.mark.processes
 
 MANY = 4000
 """Whose messages and answers fill the sockets in both directions"""
