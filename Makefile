@@ -16,7 +16,7 @@ help:
 	@echo "make test-docker  build the image, start it as docs/deployment.md says, restart it under load"
 	@echo "make test-faults  killed workers and replicas, cut networks, full disks (as root)"
 	@echo "make test-fuzz    hostile requests, uploads and streams by the thousand"
-	@echo "make test-learns  trainings and fine-tunings that have to get somewhere, every experiment"
+	@echo "make test-learns  trainings that have to get somewhere, a whole evaluation, every experiment"
 	@echo "make test-soak    a minute of robots, churn and faults"
 	@echo "make test-ray     replicas and batches on Ray, which it installs"
 	@echo "make install  only install everything, torch for the CPU included"

@@ -53,6 +53,7 @@ def evaluated(corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.learns
 def test_tables_and_figures_are_written(evaluated: Path) -> None:
     out = evaluated / "docs"
     results = json.loads((out / "results.json").read_text())
@@ -115,6 +116,7 @@ def test_what_would_leave_half_a_truth_is_refused(
     assert says in capsys.readouterr().err
 
 
+@pytest.mark.learns
 def test_the_number_of_workers_changes_nothing(evaluated: Path, corpus: Path) -> None:
     by_two = Results.read(evaluated / "docs" / "results.json")
     speech = load(speech_commands(corpus, "heldout"))
