@@ -50,6 +50,9 @@ run: $(VENV)/.ready
 	@echo
 	@exec $(BIN)/neuralmusic serve
 
+# Tests start a hundred processes of the service: each would compile it again.
+unexport PYTHONDONTWRITEBYTECODE
+
 # Two processes, a file in one of them: half of the tests' time is waiting for processes to start.
 test: install
 	$(BIN)/python -m pytest -n 2 --dist loadfile

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import re
 import signal
@@ -88,15 +89,21 @@ def service(sounds: Any) -> Iterator[Callable[..., Service]]:
         client.__exit__(None, None, None)
 
 
-def test_probes_answer_while_a_recording_is_localized(service: Any) -> None:
-    running = service()
+@pytest.fixture(scope="module")
+def running(sounds: Any) -> Iterator[Service]:
+    """One without a queue, for tests after which it is as before."""
+    app = create_app(Settings(workers=1, queue=0, processes=2), BundleRegistry(()))
+    with TestClient(app, raise_server_exceptions=False) as client:
+        yield Service(client, sounds.wav())
+
+
+def test_probes_answer_while_a_recording_is_localized(running: Service) -> None:
     with running.busy():
         assert running.client.get("/livez").json() == {"status": "ok"}
         assert running.client.get("/readyz").json() == {"status": "ok"}
 
 
-def test_a_full_service_says_when_to_come_back(service: Any) -> None:
-    running = service(queue=0)
+def test_a_full_service_says_when_to_come_back(running: Service) -> None:
     with running.busy() as first:
         refused = running.post(b"not even read")
         assert refused.status_code == 503
@@ -105,8 +112,7 @@ def test_a_full_service_says_when_to_come_back(service: Any) -> None:
     assert first.result().status_code == 200
 
 
-def test_a_worker_is_free_again_after_a_recording_that_is_none(service: Any) -> None:
-    running = service(queue=0)
+def test_a_worker_is_free_again_after_a_recording_that_is_none(running: Service) -> None:
     for _ in range(3):
         assert running.post(b"no audio at all").status_code == 415
     pid = running.pid
@@ -142,9 +148,8 @@ def test_a_stopping_service_ends_what_runs_and_refuses_what_comes(service: Any) 
     [(signal.SIGSEGV, 422, "decoding_failed"), (signal.SIGKILL, 503, "worker_lost")],
 )
 def test_a_worker_that_dies_takes_one_recording_with_it(
-    service: Any, number: signal.Signals, status: int, code: str
+    running: Service, number: signal.Signals, status: int, code: str
 ) -> None:
-    running = service()
     with running.busy() as first:
         lost = running.pid
         os.kill(lost, number)
@@ -165,8 +170,7 @@ def helpers(pid: int) -> list[int]:
 
 @pytest.mark.processes
 @pytest.mark.skipif(sys.platform != "linux", reason="workers fork helpers on Linux only")
-def test_a_helper_that_dies_takes_one_recording_with_it(service: Any) -> None:
-    running = service(processes=2)
+def test_a_helper_that_dies_takes_one_recording_with_it(running: Service) -> None:
     assert running.post().status_code == 200
     worker = running.pid
     long = running.executor.submit(running.post, silence(1800).getvalue())
@@ -179,20 +183,6 @@ def test_a_helper_that_dies_takes_one_recording_with_it(service: Any) -> None:
     assert not helpers(worker)
     assert running.post().status_code == 200
     assert running.pid != worker
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="workers fork helpers on Linux only")
-def test_a_long_recording_is_the_same_from_one_process_and_from_three(service: Any) -> None:
-    rng = np.random.default_rng(0)
-    file = io.BytesIO()
-    noise = (
-        rng.normal(0, 0.1, (45 * 16_000, 4)) * (np.sin(np.arange(45 * 16_000) / 9e3) > 0)[:, None]
-    )
-    soundfile.write(file, noise, 16_000, format="WAV", subtype="PCM_16")
-    alone, shared = (service(processes=n).post(file.getvalue()).json() for n in (1, 3))
-    assert len(alone["windows"]) == 87
-    assert shared["windows"] == alone["windows"]
-    assert shared["summary"] == alone["summary"]
 
 
 @pytest.mark.processes
@@ -222,10 +212,11 @@ def job(**options: Any) -> RecordingJob:
     return RecordingJob(asked, AudioLimits())
 
 
-def silence(seconds: float) -> io.BytesIO:
+def silence(seconds: float, channels: int = 4) -> io.BytesIO:
     """A long recording in a small file."""
     file = io.BytesIO()
-    soundfile.write(file, np.zeros((round(seconds * 4000), 4), np.int16), 4000, format="FLAC")
+    samples = np.zeros((round(seconds * 4000), channels), np.int16)
+    soundfile.write(file, samples, 4000, format="FLAC")
     file.seek(0)
     return file
 
@@ -249,11 +240,11 @@ def test_too_many_windows_are_refused_before_anything_is_decoded(
 @pytest.mark.parametrize("seconds", [1001, 1100, 1500.5, 3600])
 def test_the_hop_that_is_advised_is_taken(seconds: float) -> None:
     with pytest.raises(InvalidOption) as caught:
-        localize_file(job(hop_s=0.02), silence(seconds), BundleRegistry(()), lambda _: None)
+        localize_file(job(hop_s=0.02), silence(seconds, 1), BundleRegistry(()), lambda _: None)
     advised = re.findall(r"hop_s=([0-9.]+) or more", caught.value.detail)[0]
     reports: list[Any] = []
     with suppress(Heard):
-        localize_file(job(hop_s=advised), silence(seconds), BundleRegistry(()), heard(reports))
+        localize_file(job(hop_s=advised), silence(seconds, 1), BundleRegistry(()), heard(reports))
     assert reports == [HeaderRead(seconds)]
 
 
@@ -269,6 +260,26 @@ def heard(reports: list[Any]) -> Callable[[object], None]:
         raise Heard
 
     return report
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers fork helpers on Linux only")
+def test_a_long_recording_is_the_same_from_one_process_and_from_three() -> None:
+    rng = np.random.default_rng(0)
+    file = io.BytesIO()
+    noise = (
+        rng.normal(0, 0.1, (45 * 16_000, 4)) * (np.sin(np.arange(45 * 16_000) / 9e3) > 0)[:, None]
+    )
+    soundfile.write(file, noise, 16_000, format="WAV", subtype="PCM_16")
+
+    def answer(processes: int) -> dict[str, Any]:
+        file.seek(0)
+        body, _ = localize_file(job(), file, BundleRegistry(()), lambda _: None, processes)
+        answered: dict[str, Any] = json.loads(body)
+        return answered
+
+    alone, shared = answer(1), answer(3)
+    assert len(alone["windows"]) == 87
+    assert shared == alone
 
 
 def test_a_recording_is_opened_before_it_is_decoded() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -63,9 +64,9 @@ def service(models: Path) -> Iterator[RunningService]:
     running.stop()
 
 
-def version(url: str, client: Any = httpx2) -> str:
+def version(url: str) -> str:
     """Of the model that new requests get."""
-    models = client.get(f"{url}/models", timeout=PATIENCE).json()["models"]
+    models = httpx2.get(f"{url}/models", timeout=PATIENCE).json()["models"]
     return next(str(model["version"]) for model in models if model["name"] == "robot")
 
 
@@ -156,10 +157,10 @@ def test_new_work_gets_the_new_models_and_a_running_stream_keeps_its_own(
         assert httpx2.get(f"{service.url}/livez").status_code == 200
 
 
-def wait_for_version(expected: str, url: str, process: subprocess.Popen[str]) -> None:
-    with httpx2.Client(timeout=PATIENCE) as client:
-        while version(url, client) != expected:
-            assert process.poll() is None
+def line_with(words: str, process: subprocess.Popen[str]) -> str:
+    """The next line of a process's output that has these words."""
+    assert process.stdout is not None
+    return next(line for line in process.stdout if words in line)
 
 
 def test_a_hang_up_signal_reloads_and_is_not_lost_during_the_start(bundle: Path) -> None:
@@ -182,16 +183,18 @@ sys.exit(main(["serve", "--port", "0", "--workers", "1", "--models", {str(bundle
     with subprocess.Popen(
         [sys.executable, "-c", program],
         stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
         text=True,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
     ) as process:
-        assert process.stdout is not None
-        url = process.stdout.readline().split()[-1]
         try:
-            wait_for_version("2.0.0", url, process)
+            url = re.findall(r"http://\S+", line_with("http://", process))[0]
+            line_with("the models were reloaded", process)
+            assert version(url) == "2.0.0"
             write_version(bundle, "3.0.0")
             process.send_signal(signal.SIGHUP)
-            wait_for_version("3.0.0", url, process)
+            line_with("the models were reloaded", process)
+            assert version(url) == "3.0.0"
         finally:
             process.terminate()
     assert process.returncode in (0, -signal.SIGTERM)

@@ -6,12 +6,15 @@ import queue
 import socket
 import threading
 from collections.abc import Iterator
+from unittest.mock import patch
 from urllib.parse import urlsplit
 
 import httpx2
 import pytest
 import uvicorn
+from running_service import workers_with_the_first_work
 
+from service.api.state import ServiceState
 from service.app import create_app
 from service.inference.registry import BundleRegistry
 from service.server import Server
@@ -29,8 +32,10 @@ def address() -> Iterator[str]:
     announced: queue.Queue[str] = queue.Queue()
     server = Server(config, app.state.service, announced.put)
     thread = threading.Thread(target=server.run)
-    thread.start()
-    yield announced.get(timeout=PATIENCE)
+    with patch.object(ServiceState, "start_workers", workers_with_the_first_work):
+        thread.start()
+        url = announced.get(timeout=PATIENCE)
+    yield url
     server.should_exit = True
     thread.join(PATIENCE)
     assert not thread.is_alive()

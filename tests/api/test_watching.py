@@ -247,18 +247,6 @@ def test_a_collector_that_is_gone_holds_up_no_end() -> None:
     service.stop()
 
 
-def test_without_traces_nothing_of_the_sdk_is_imported() -> None:
-    code = (
-        "import sys; from service.app import create_app; create_app(); "
-        "print([name for name in sys.modules if name.startswith('opentelemetry.sdk')"
-        " or name.startswith('opentelemetry.exporter')])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
-    )
-    assert done.stdout.strip() == "[]"
-
-
 @pytest.mark.parametrize("missing", ["opentelemetry.sdk.trace", "fastapi.telemetry"])
 def test_traces_without_the_extra_say_what_to_install(
     monkeypatch: pytest.MonkeyPatch, missing: str

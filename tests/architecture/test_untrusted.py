@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from source_tree import calls, imported, modules, room
+from source_tree import modules, room
 
 CODE_FROM_DATA = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "xml"}
 MAY_PICKLE = {"service.workers.link", "service.recordings.forked_workers"}
@@ -17,8 +17,8 @@ CLIENTS = {"client", "cli"}
 def test_pickle_is_only_spoken_between_the_service_and_its_own_workers() -> None:
     found = {
         (module, name.split(".")[0])
-        for module, tree in modules("service").items()
-        for name in imported(tree)
+        for module, source in modules("service").items()
+        for name in source.imports
         if name.split(".")[0] in CODE_FROM_DATA
     }
     assert found == {(module, "pickle") for module in MAY_PICKLE}
@@ -27,8 +27,8 @@ def test_pickle_is_only_spoken_between_the_service_and_its_own_workers() -> None
 def test_arrays_are_loaded_without_pickle_and_nothing_is_evaluated() -> None:
     offenders = {
         f"{module} calls {name}"
-        for module, tree in modules("service").items()
-        for name, keywords in calls(tree)
+        for module, source in modules("service").items()
+        for name, keywords in source.calls
         if name in EVALUATING
         or keywords.get("shell", "False") != "False"
         or (name in ("np.load", "numpy.load") and keywords.get("allow_pickle") != "False")
@@ -39,9 +39,9 @@ def test_arrays_are_loaded_without_pickle_and_nothing_is_evaluated() -> None:
 def test_the_service_connects_to_nobody() -> None:
     offenders = {
         f"{module} uses {name}"
-        for module, tree in modules("service").items()
+        for module, source in modules("service").items()
         if room(module) not in CLIENTS
-        for name in [*imported(tree), *(name for name, _ in calls(tree))]
+        for name in [*source.imports, *(name for name, _ in source.calls)]
         if name in CONNECTING or any(f"{name}.".startswith(f"{each}.") for each in NETWORK)
     }
     assert not offenders

@@ -4,18 +4,41 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 
 
+TOLD = {"shell", "allow_pickle"}
+"""Keywords that the tests ask about"""
+
+Call = tuple[str, dict[str, str]]
+"""A call's function and those of its keywords, as they are written"""
+
+
+@dataclass(frozen=True)
+class Module:
+    """What one module reaches for."""
+
+    imports: tuple[str, ...]
+    """At its top or later; ``from a import b`` is ``a.b``"""
+    calls: tuple[Call, ...]
+
+
 @cache
-def modules(package: str) -> dict[str, ast.Module]:
-    """Parsed modules of a package by their dotted names."""
+def modules(package: str) -> dict[str, Module]:
+    """Modules of a package by their dotted names."""
     return {
-        dotted(path): ast.parse(path.read_text()) for path in sorted((ROOT / package).rglob("*.py"))
+        dotted(path): module(path.read_text()) for path in sorted((ROOT / package).rglob("*.py"))
     }
+
+
+def module(text: str) -> Module:
+    nodes = list(ast.walk(ast.parse(text)))
+    calls = tuple(call(node) for node in nodes if isinstance(node, ast.Call))
+    return Module(tuple(name for node in nodes for name in imported(node)), calls)
 
 
 def dotted(path: Path) -> str:
@@ -28,27 +51,23 @@ def room(module: str) -> str:
     return (*module.split("."), "__init__")[1]
 
 
-def imported(tree: ast.AST) -> Iterator[str]:
-    """Everything a module imports, at its top or later; ``from a import b`` is ``a.b``."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"relative import of {node.module}"
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+def imported(node: ast.AST) -> Iterator[str]:
+    if isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names)
+    elif isinstance(node, ast.ImportFrom):
+        assert node.level == 0, f"relative import of {node.module}"
+        yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def call(node: ast.Call) -> Call:
+    named = {str(each.arg): ast.unparse(each.value) for each in node.keywords if each.arg in TOLD}
+    return ast.unparse(node.func), named
 
 
 def own_imports(package: str) -> Iterator[tuple[str, str]]:
     """Which module of a package imports which other one of it."""
     known = modules(package)
-    for module, tree in known.items():
-        for name in imported(tree):
+    for importing, found in known.items():
+        for name in found.imports:
             if name.split(".")[0] == package:
-                yield module, name if name in known else name.rpartition(".")[0]
-
-
-def calls(tree: ast.AST) -> Iterator[tuple[str, dict[str, str]]]:
-    """Each call's function and its keywords, as they are written."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call):
-            yield ast.unparse(node.func), {str(k.arg): ast.unparse(k.value) for k in node.keywords}
+                yield importing, name if name in known else name.rpartition(".")[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from functools import cache
 
 import numpy as np
 import pytest
@@ -33,12 +34,20 @@ ARRAYS = [
 def recording(
     array: MicrophoneArray, *, seconds: float = 4.0, snr_db: float = 25.0, seed: int = 1
 ) -> FloatArray:
+    """What an array hears of ``bursts``, which the test may change."""
+    return bursts(tuple(map(tuple, array.positions)), seconds, snr_db, seed).copy()
+
+
+@cache
+def bursts(
+    positions: tuple[tuple[float, ...], ...], seconds: float, snr_db: float, seed: int
+) -> FloatArray:
     """(N, T) bursts of noise from a new direction each, delayed exactly, and sensor noise."""
     random = np.random.default_rng(seed)
     length = round(0.4 * RATE)
     envelope = np.sin(np.pi * np.arange(length) / length) ** 2 * (np.arange(length) > 800)
     frequency = np.fft.rfftfreq(2 * length, 1 / RATE)
-    bursts = []
+    heard = []
     for _ in range(round(seconds / 0.4)):
         azimuth, elevation = random.uniform(0, 2 * np.pi), random.uniform(0, 0.5)
         towards = np.array(
@@ -49,9 +58,9 @@ def recording(
             ]
         )
         sound = np.fft.rfft(envelope * random.standard_normal(length), 2 * length)
-        advance = np.exp(2j * np.pi * frequency * (array.positions @ towards)[:, None] / 343.0)
-        bursts.append(np.fft.irfft(sound * advance)[:, :length])
-    clean = np.concatenate(bursts, axis=-1)
+        advance = np.exp(2j * np.pi * frequency * (positions @ towards)[:, None] / 343.0)
+        heard.append(np.fft.irfft(sound * advance)[:, :length])
+    clean = np.concatenate(heard, axis=-1)
     noise = clean.std() * 10 ** (-snr_db / 20) * random.standard_normal(clean.shape)
     audio = clean + noise
     return (0.05 * audio / audio.std()).astype(np.float32)
