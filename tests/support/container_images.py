@@ -25,6 +25,11 @@ STAND_IN = "org.neuralmusic.stand-in"
 UNWANTED = ("doc", "man", "info", "locale", "lintian", "groff")
 CERTIFICATES = Path("/etc/ssl/certs/ca-certificates.crt")
 OWN_CERTIFICATES = Path("/usr/local/share/ca-certificates")
+PIP_NETWORK = (
+    *("index-url", "extra-index-url", "trusted-host", "cert", "proxy"),
+    *("timeout", "default-timeout", "retries"),
+)
+"""pip's settings that concern the network alone"""
 
 HAPROXY = f"""
 FROM {BASE}
@@ -150,14 +155,15 @@ def settle(root: Path, sources: list[str]) -> None:
 
 
 def pip_settings() -> str:
-    """pip's settings of this machine, without those that name its folders."""
+    """pip's settings of this machine that reach its index; the image has none of its folders."""
     settings = {}
     for line in run(sys.executable, "-m", "pip", "config", "list").splitlines():
         name, _, value = line.partition("=")
-        local = "file:" in value or "find-links" in name
-        if not local and name.startswith((":env:.", "global.")):
-            settings[name.rpartition(".")[2]] = value.strip("'")
-    return "\n".join(["[global]", *(f"{name} = {value}" for name, value in settings.items()), ""])
+        key = name.rpartition(".")[2]
+        shared = name.startswith((":env:.", "global.")) and "file:" not in value
+        if shared and key in PIP_NETWORK:
+            settings[key] = value.strip("'")
+    return "\n".join(["[global]", *(f"{key} = {value}" for key, value in settings.items()), ""])
 
 
 def size_bytes(image: str) -> int:
