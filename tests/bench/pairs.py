@@ -34,12 +34,12 @@ Work = Literal["window", "classical", "step"]
 
 
 class Turns:
-    """A process of one checkout that works when it is asked to."""
+    """A process of one checkout, by its own copy of this file, that works when asked to."""
 
     def __init__(self, checkout: Path, work: Work) -> None:
         threads = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         self._process = subprocess.Popen(
-            [sys.executable, __file__, str(checkout), "--turns", work],
+            [sys.executable, checkout / "tests/bench/pairs.py", checkout, "--turns", work],
             env={**os.environ, **threads, "PYTHONPATH": str(checkout)},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
