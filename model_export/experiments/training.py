@@ -28,7 +28,6 @@ Track = Literal["cited", "matched"]
 TUNING_RATE = 0.3
 """Of the learning rate: fine-tuning keeps what the first training has found"""
 CHECKPOINT_STEPS = 50
-VALIDATION_SHARE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
