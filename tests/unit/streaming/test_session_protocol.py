@@ -289,7 +289,7 @@ def test_the_noise_of_another_array_is_not_used_and_the_client_is_told(
     driver.send(start(method="norm_music", client="rover"))
     ready = driver.only("ready")
     assert ready["noise"] is None
-    (warning,) = ready["warnings"]
+    warning = driver.only("warning")
     assert warning["code"] == "noise_mismatch"
     assert warning["detail"].endswith("it is not used")
 
