@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from neuralmusic.protocol.close_codes import CloseCode
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.stft import Stft
 from service.doa.types import FloatArray
 from service.doa.whitening import learn_noise
 from service.inference.noise_store import NoiseStore
-from service.protocol.close_codes import CloseCode
 from service.streaming.pipeline import StreamPipeline
 from service.streaming.reporter import SessionLimits
 
