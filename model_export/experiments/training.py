@@ -14,9 +14,10 @@ import torch
 from torch import nn
 
 from model_export.baselines.network import BaselineNetwork, Truth
-from model_export.experiments.augmentation import sometimes_noisy, symmetries
+from model_export.experiments.augmentation import sometimes_noisy
 from model_export.experiments.scene_set import SceneSet
 from model_export.simulation.scenes import Scene
+from model_export.simulation.symmetry import Symmetry, symmetries
 from model_export.training.config import PAPER_SSCL
 from model_export.training.fitting import Fitting, checkpoint
 from model_export.training.sscl import SsclTask, collate_masked
@@ -90,14 +91,14 @@ def fit(
     steps = budget.epochs * per_epoch
     network.to(device)
     fitting = _Curve(network, network.learning_rate * budget.rate, steps, run)
-    turns = symmetries(scenes.array)
+    views = symmetries(scenes.array)
     network.train()
     while fitting.step < steps:
         epoch, place = divmod(fitting.step, per_epoch)
         order = np.random.default_rng([seed, epoch]).permutation(len(scenes))
         chosen = order[place * budget.batch_size : (place + 1) * budget.batch_size]
         rng = np.random.default_rng([seed, 1, fitting.step])
-        audio, truth = _batch(rng, scenes, chosen, turns)
+        audio, truth = _batch(rng, scenes, chosen, views)
         array = scenes.array
         if network.steered:
             turn = float(rng.uniform(0, 2 * np.pi))
@@ -183,15 +184,15 @@ def _batch(
     rng: np.random.Generator,
     scenes: SceneSet,
     chosen: np.ndarray[Any, Any],
-    turns: list[tuple[Any, float]],
+    views: list[Symmetry],
 ) -> tuple[FloatArray, Truth]:
     """Noisy windows (B, N, T), each seen from one of the array's symmetric sides, and the truth."""
     audio = scenes.audio[np.sort(chosen)].astype(np.float32)
     azimuth = scenes.azimuth[np.sort(chosen)].astype(np.float32).copy()
     for index in range(len(audio)):
-        permutation, turn = turns[int(rng.integers(len(turns)))]
-        audio[index] = audio[index][permutation]
-        azimuth[index] += np.float32(turn)
+        view = views[int(rng.integers(len(views)))]
+        audio[index] = audio[index][view.permutation]
+        azimuth[index] = view.azimuth(azimuth[index])
     mask = np.isfinite(azimuth)
     truth = Truth(torch.from_numpy(np.where(mask, azimuth, 0)), torch.from_numpy(mask))
     return sometimes_noisy(rng, audio), truth
