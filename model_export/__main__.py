@@ -7,6 +7,7 @@ import sys
 
 from model_export import cli
 from service.errors import DoaError
+from service.machine.memory import keep_all_memory
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -26,4 +27,5 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    keep_all_memory()
     sys.exit(main())

@@ -26,6 +26,8 @@ from service.doa.types import FloatArray
 Track = Literal["cited", "matched"]
 """As published, with its own features; or with our input, targets and count branch"""
 
+SSCL = replace(PAPER_SSCL, smooth_kernels=0, pool_first=False, level_exponent=0.0)
+"""The self-supervised stage on the features and the plain parameters of the matched track"""
 TUNING_RATE = 0.3
 """Of the learning rate: fine-tuning keeps what the first training has found"""
 CHECKPOINT_STEPS = 50
@@ -115,11 +117,11 @@ def pretrain(
     scenes: SceneSet, budget: Budget, run: Path, seed: int, progress: Progress, device: str = "cpu"
 ) -> None:
     """The self-supervised stage on a scene set without its labels, left in the run's checkpoint."""
-    task = SsclTask(PAPER_SSCL, scenes.array)
+    task = SsclTask(SSCL, scenes.array)
     task.model.to(device).train()
     size = min(budget.batch_size, len(scenes))
     steps = budget.epochs * max(1, len(scenes) // size)
-    fitting = _Curve(task.model, PAPER_SSCL.learning_rate * budget.rate, steps, run)
+    fitting = _Curve(task.model, SSCL.learning_rate * budget.rate, steps, run)
     while fitting.step < steps:
         rng = np.random.default_rng([seed, 2, fitting.step])
         chosen = np.sort(rng.choice(len(scenes), size, replace=False))
