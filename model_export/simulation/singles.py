@@ -88,7 +88,6 @@ class SinglesBank:
         found = json.loads((folder / MANIFEST).read_text())
         if found["protocol"] != _description(array)["protocol"]:
             raise ValueError(f"{folder} holds single talkers of another protocol than {array}'s")
-        self.sha256: str = found["sha256"]
         self._audio = [np.load(path, mmap_mode="r") for path in chunks]
         azimuths = [
             np.load(path.with_name(path.name.replace("audio", "azimuth"))) for path in chunks
