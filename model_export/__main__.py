@@ -7,6 +7,7 @@ import sys
 
 from neuralmusic.errors import DoaError
 from service.machine.environment import prepare_process
+from service.machine.memory import keep_all_memory
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -29,4 +30,5 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    keep_all_memory()
     sys.exit(main())

@@ -32,7 +32,9 @@ def draw_mask(rng: np.random.Generator, num_bins: int, num_frames: int) -> BoolA
     return mask
 
 
-def masked_features(spectra: ComplexArray, microphone: IntArray, mask: BoolArray) -> FloatArray:
+def masked_features(
+    spectra: ComplexArray, microphone: IntArray, mask: BoolArray, level_exponent: float = 0.0
+) -> FloatArray:
     """The network's features when one microphone is silent in the masked cells.
 
     The mask falls on the spectra, not on the features, whose norm and level would tell of the
@@ -45,6 +47,8 @@ def masked_features(spectra: ComplexArray, microphone: IntArray, mask: BoolArray
     microphone : (B,) int
         The masked one of every scene.
     mask : (B, F, L) bool
+    level_exponent : float
+        As ``spectrogram_features`` has it.
 
     Returns
     -------
@@ -58,7 +62,7 @@ def masked_features(spectra: ComplexArray, microphone: IntArray, mask: BoolArray
     without_first = (mask & (microphone == 0)[:, None, None])[:, None]  # (B, 1, F, L)
     # Microphones 0 and 1 change places for the computation, and their real parts back after it;
     # the imaginary part that then stands at microphone 1 is that of the silent microphone 0.
-    features = spectrogram_features(_swapped(masked, without_first))
+    features = spectrogram_features(_swapped(masked, without_first), level_exponent=level_exponent)
     return _swapped(features, without_first)
 
 

@@ -19,7 +19,13 @@ PhaseReference = Literal["absolute", "first"]
 """Whether a phase is every microphone's own or relative to microphone 0's"""
 
 
-def spectrogram_features(spectra: ComplexArray, reference: PhaseReference = "first") -> FloatArray:
+LOUDEST = 3.0
+"""Most that ``level_exponent`` makes of a cell"""
+
+
+def spectrogram_features(
+    spectra: ComplexArray, reference: PhaseReference = "first", level_exponent: float = 0.0
+) -> FloatArray:
     """Two real features per microphone for every time-frequency cell.
 
     Parameters
@@ -37,6 +43,10 @@ def spectrogram_features(spectra: ComplexArray, reference: PhaseReference = "fir
         microphones, so that the recording's gain cancels and level differences between
         microphones stay. Networks learn very slowly from it, since a delay is a difference of two
         phases modulo 2 pi.
+    level_exponent : float
+        With ``"first"``, cells have not unit norm but (power / mean power)^level_exponent, at most
+        ``LOUDEST``: 0.15 keeps the magnitudes that the paper's text feeds in a range that networks
+        bear.
 
     Returns
     -------
@@ -50,6 +60,9 @@ def spectrogram_features(spectra: ComplexArray, reference: PhaseReference = "fir
     first = spectra[..., :1, :, :]
     turn = np.conj(first) / np.maximum(np.abs(first), _TINY)
     unit = spectra * turn / np.sqrt(np.maximum(total, _TINY))
+    if level_exponent:
+        loudness = (total / _mean(total)) ** np.float32(level_exponent)
+        unit *= np.minimum(loudness, np.float32(LOUDEST))
     return np.concatenate(
         [unit.real, _level(total), unit.imag[..., 1:, :, :]], axis=-3, dtype=np.float32
     )
@@ -60,6 +73,12 @@ _TINY = np.finfo(np.float32).tiny
 
 def _level(power: FloatArray) -> FloatArray:
     """Log power (..., C, F, L) relative to the mean over channels, bins and frames."""
-    mean = np.maximum(power.mean(axis=(-3, -2, -1), keepdims=True), _TINY)
-    level: FloatArray = np.float32(LEVEL_SCALE) * np.log(power / mean + np.float32(LEVEL_FLOOR))
+    scaled = power / _mean(power) + np.float32(LEVEL_FLOOR)
+    level: FloatArray = np.float32(LEVEL_SCALE) * np.log(scaled)
     return level
+
+
+def _mean(power: FloatArray) -> FloatArray:
+    """Mean over channels, bins and frames, never 0."""
+    mean: FloatArray = np.maximum(power.mean(axis=(-3, -2, -1), keepdims=True), _TINY)
+    return mean

@@ -69,6 +69,8 @@ class Manifest(_Section):
     """First STFT bin that the networks see"""
     num_bins: int
     """Bins that the networks see"""
+    level_exponent: float = 0.0
+    """Of a `regression` bundle's features (`service/doa/spectrogram.py`)"""
     max_sources: int
     """Largest count that the source-count network can give"""
     files: dict[Annotated[str, Field(pattern=FILE_PATTERN)], str]

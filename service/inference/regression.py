@@ -39,7 +39,9 @@ class RegressionLocalizer:
         self, spectra: ComplexArray, num_sources: int | None, max_sources: int
     ) -> list[WindowEstimate]:
         """Directions of every window's spectra (B, N, F, L)."""
-        features = spectrogram_features(self._cropped(spectra))
+        features = spectrogram_features(
+            self._cropped(spectra), level_exponent=self._bundle.manifest.level_exponent
+        )
         covariance = self.covariance(features)
         (logits,) = self._bundle.source_count.run([features])
         probabilities = np.exp(logits - logits.max(axis=-1, keepdims=True))
