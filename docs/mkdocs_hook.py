@@ -1,4 +1,4 @@
-"""A hook of MkDocs: files outside docs/ that pages link to are on the site, below ``repository/``."""
+"""A hook of MkDocs: the site has the files outside docs/ that pages link to, in ``repository/``."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     here = Path(page.file.abs_src_path or "")
     start = os.path.dirname(page.file.src_uri)
     return LINK.sub(
-        lambda link: os.path.relpath(_uri((here.parent / link[0]).resolve()), start or "."), markdown
+        lambda link: os.path.relpath(_uri((here.parent / link[0]).resolve()), start or "."),
+        markdown,
     )
 
 

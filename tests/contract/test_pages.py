@@ -1,12 +1,16 @@
-"""The documents' links lead somewhere, and the index has every page."""
+"""The documents' links lead somewhere, their commands parse, and the index has every page."""
 
 from __future__ import annotations
 
+import argparse
 import re
+import shlex
 from functools import cache
 from pathlib import Path
 
 import pytest
+
+from model_export import cli
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -48,3 +52,13 @@ def test_the_index_has_every_page_once() -> None:
 
 def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text().splitlines()) <= 120
+
+
+def test_commands_of_the_training_side_parse() -> None:
+    parser = argparse.ArgumentParser()
+    cli.add_commands(parser.add_subparsers(required=True))
+    blocks = "".join("".join(FENCES.findall(page.read_text())) for page in PAGES)
+    commands = re.findall(r"python -m model_export ((?:[^\n#]*\\\n)*[^\n#]*)", blocks)
+    assert len(commands) > 20
+    for command in commands:
+        parser.parse_args(shlex.split(command.replace("\\\n", " ")))
