@@ -22,11 +22,11 @@ from typing import Self
 
 import numpy as np
 
+from neuralmusic.errors import NoiseCalibrationFailed, NoiseMismatch
 from service.doa.array import MicrophoneArray
 from service.doa.silence import SILENCE
 from service.doa.stft import Stft
 from service.doa.types import ComplexArray, FloatArray
-from service.errors import NoiseCalibrationFailed, NoiseMismatch
 
 LOADING = 1e-4
 """Of Q's mean eigenvalue: a fan that all microphones hear alike is taken down by 10 log10(N / 1e-4)

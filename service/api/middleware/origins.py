@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
 
-from service.errors import OriginRefused
+from neuralmusic.errors import OriginRefused
 
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 """Of HTTP: they change nothing, and no page of another origin can read their answers"""
