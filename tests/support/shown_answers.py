@@ -58,7 +58,7 @@ def differences(shown: Any, real: Any, name: str = "", place: str = "") -> list[
         ]
     if isinstance(shown, list) and isinstance(real, list):
         return _differing_lists(shown, real, name, place)
-    if name in OF_THIS_RUN or isinstance(shown, float) and isinstance(real, float):
+    if name in OF_THIS_RUN or (isinstance(shown, float) and isinstance(real, float)):
         near = name in OF_THIS_RUN or abs(shown - real) <= TOLERANCES.get(name, TOLERANCE)
         alike = near and type(shown) is type(real)
     elif name == "detail":
