@@ -3,7 +3,7 @@
 Usage: python examples/raw_stream.py recording.wav respeaker-usb-4mic-v2 [ws://robot:8000/stream]
 
 The conversation is the one at the top of docs/protocol.md, to be written again in any language.
-Needs ``pip install websockets``.
+Needs the package websockets.
 """
 
 from __future__ import annotations
