@@ -36,7 +36,8 @@ def shown_objects(page: str) -> list[dict[str, Any]]:
     """The JSON objects in a Markdown document's blocks of JSON."""
     found = []
     for block in re.findall(r"```jsonc?\n(.*?)```", page, re.DOTALL):
-        text = re.sub(rf",\s*{ELLIPSIS}", f', "{ELLIPSIS}"', block).strip()
+        text = re.sub(rf",\s*{ELLIPSIS}\s*}}", f', "{ELLIPSIS}": 0}}', block)
+        text = re.sub(rf",\s*{ELLIPSIS}", f', "{ELLIPSIS}"', text).strip()
         while text.startswith("{"):
             shown, end = json.JSONDecoder().raw_decode(text)
             found.append(shown)
@@ -49,11 +50,13 @@ def differences(shown: Any, real: Any, name: str = "", place: str = "") -> list[
     if shown == ELLIPSIS:
         return []
     if isinstance(shown, dict) and isinstance(real, dict):
-        if shown.keys() != real.keys():
+        named = shown.keys() - {ELLIPSIS}
+        if named != real.keys() and not (ELLIPSIS in shown and named <= real.keys()):
             return [f"{place}: the fields are {sorted(real)}"]
         return [
             line
             for key, value in shown.items()
+            if key != ELLIPSIS
             for line in differences(value, real[key], key, f"{place}.{key}")
         ]
     if isinstance(shown, list) and isinstance(real, list):
