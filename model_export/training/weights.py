@@ -184,7 +184,7 @@ class WeightsNetwork(nn.Module):
     trunk : str
         ``"strided"`` reduces four bins to one row by two strides, all convolutions being dense;
         ``"separable"`` by one, and separates what follows, which costs half as much
-        (docs/notes/performance.md).
+        (docs/performance.md).
     """
 
     def __init__(self, trunk: Trunk = "strided") -> None:

@@ -59,7 +59,7 @@ def principal_eigenvector(covariance: ComplexArray) -> tuple[ComplexArray, Float
     """The eigenvector of the largest eigenvalue and that eigenvalue's share of the trace.
 
     By squaring: the columns of R^(2^k) turn to the principal eigenvector as (l2 / l1)^(2^k). It
-    takes a tenth of LAPACK's time (docs/notes/performance.md) and is exact to 1e-3 if l2 < 0.8 l1;
+    takes a tenth of LAPACK's time (docs/performance.md) and is exact to 1e-3 where l2 < 0.8 l1;
     where two eigenvalues are closer, it is some vector of their plane.
 
     Parameters

@@ -3,7 +3,7 @@
 A projector on eigenvectors is a polynomial of the matrix: one that is 1 at the eigenvalues of the
 signal and 0 at those of the noise. For up to four microphones the characteristic polynomial has at
 most degree four and can be solved, for all bins at once; LAPACK goes from bin to bin and takes
-three times as long (docs/notes/performance.md).
+three times as long (docs/performance.md).
 """
 
 from __future__ import annotations
