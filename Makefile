@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 HOST := $(or $(NEURALMUSIC_HOST),127.0.0.1)
 PORT := $(or $(NEURALMUSIC_PORT),8000)
 
-.PHONY: help install run dist test test-costs test-dist test-docker test-faults test-fuzz test-learns test-page test-processes test-ray test-soak lint types format bench contracts audit clean
+.PHONY: help install run dist test test-costs test-dist test-docker test-faults test-fuzz test-learns test-page test-processes test-ray test-soak lint types format bench contracts docs audit clean
 
 help:
 	@echo "make run      install and start the service with its embedded model (no torch)"
@@ -26,7 +26,8 @@ help:
 	@echo "make types    mypy, strict on client/ and service/"
 	@echo "make format   let ruff format and fix"
 	@echo "make bench    windows beside pyroomacoustics, streams, files, memory, start (6 minutes)"
-	@echo "make contracts  write openapi.yaml, asyncapi.json and docs/protocol.md's tables"
+	@echo "make contracts  write openapi.yaml, asyncapi.json, docs/cli.md, docs/python.md, docs/protocol.md's tables"
+	@echo "make docs     the documents as a site, build/site; fails on broken links"
 	@echo "make audit    known vulnerabilities of what is installed, where PyPI or OSV answers"
 
 $(BIN)/python:
@@ -90,6 +91,11 @@ contracts: install
 	$(BIN)/python -m service.openapi > openapi.yaml
 	$(BIN)/python -m service.api.contract.asyncapi > asyncapi.json
 	$(BIN)/python -m service.api.contract.asyncapi docs/protocol.md
+	$(BIN)/python -m service.reference.commands > docs/cli.md
+	$(BIN)/python -m service.reference.names > docs/python.md
+
+docs: install
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 audit: install
 	.ci/audit

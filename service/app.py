@@ -17,6 +17,7 @@ from starlette.types import ASGIApp
 from neuralmusic import __version__
 from service.api import admin, catalog, localize, metrics, noise, page, probes, sessions, stream
 from service.api.contract.keys import document_guard
+from service.api.contract.localize import document_answer
 from service.api.middleware.body_deadline import BodyDeadline
 from service.api.middleware.body_limit import BodyLimit
 from service.api.middleware.guard import Guard
@@ -72,6 +73,7 @@ class DocumentedApp(FastAPI):
                 if operation["responses"].get("422", {}).get("description") == "Validation Error":
                     del operation["responses"]["422"]
         document_guard(document)
+        document_answer(document)
         return document
 
 

@@ -29,6 +29,7 @@ ORDER = {
         ("server", "openapi"),
         ("cli", "ray_app"),
         ("__init__",),
+        ("reference",),
     ),
     "model_export": (
         ("__init__",),

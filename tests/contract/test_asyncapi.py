@@ -9,6 +9,7 @@ from typing import Any, get_args
 import pytest
 from fastapi.testclient import TestClient
 from jsonschema import Draft202012Validator
+from shown_answers import shown_objects
 
 from neuralmusic.protocol.client_messages import CLIENT_MESSAGES
 from neuralmusic.protocol.message import message_type
@@ -86,12 +87,14 @@ def test_the_schemas_say_what_is_accepted(document: Any, message: Any, accepted:
 
 
 def test_the_protocol_document_shows_messages_that_are_valid(document: Any) -> None:
-    """The example of ``start`` in the text, with its comments taken out."""
-    text = (ROOT / "docs" / "protocol.md").read_text()
-    for block in text.split("```jsonc\n")[1:]:
-        lines = [line.split(" // ")[0] for line in block.split("```")[0].splitlines()]
-        message = json.loads("\n".join(lines))
-        validator(document, message["type"]).validate(message)
+    shown = shown_objects((ROOT / "docs" / "protocol.md").read_text())
+    messages = [each for each in shown if each["type"] in document["components"]["messages"]]
+    assert {"start", "update", "flush", "ping", "calibrate", "stop"} < {
+        message["type"] for message in messages
+    }
+    for message in messages:
+        if "…" not in json.dumps(message, ensure_ascii=False):
+            validator(document, message["type"]).validate(message)
 
 
 def test_the_service_serves_the_document() -> None:
