@@ -27,7 +27,7 @@ from service.errors import UnknownArray
 
 
 def preset(name: str) -> MicrophoneArray:
-    """The preset of this name, or UnknownArray with the names there are."""
+    """The preset of this name, or UnknownArray with the known names."""
     try:
         return PRESETS[name]
     except KeyError:
@@ -159,7 +159,7 @@ _ARRAYS = (
 )
 
 PRESETS: Mapping[str, MicrophoneArray] = MappingProxyType({array.name: array for array in _ARRAYS})
-"""Every preset by its name."""
+"""Presets by name"""
 
 RAW_CHANNELS: Mapping[str, Mapping[int, tuple[int, ...]]] = MappingProxyType(
     {
@@ -185,9 +185,9 @@ Only for devices whose firmware delivers more channels than the array has microp
 
 
 def raw_channels(array: MicrophoneArray, channels: int) -> tuple[int, ...] | None:
-    """The raw microphones among so many channels of a preset's firmware; None where unknown.
+    """The raw microphones among the channels of a preset's firmware; None where unknown.
 
-    An array under a preset's name with as many microphones is that device, calibrated or turned.
+    An array with a preset's name and number of microphones is that device, calibrated or turned.
     """
     device = PRESETS.get(array.name)
     if device is None or device.num_microphones != array.num_microphones:

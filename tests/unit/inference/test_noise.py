@@ -219,7 +219,7 @@ def test_the_store_keeps_profiles_by_name_across_restarts(
     assert abs((again.created - stored.created).total_seconds()) < 60
     store.delete("arms")
     assert [path.name for path in folder.iterdir()] == ["kitchen_fan-2.1.npz"]
-    with pytest.raises(UnknownNoise, match=r"there are kitchen_fan-2\.1"):
+    with pytest.raises(UnknownNoise, match=r"stored are kitchen_fan-2\.1"):
         NoiseStore(folder).get("arms")
     with pytest.raises(UnknownNoise):
         store.delete("arms")
