@@ -1,4 +1,8 @@
-"""The ASGI application: ``uvicorn --factory service.app:create_app`` or ``neuralmusic serve``."""
+"""The ASGI application, which ``neuralmusic serve`` runs.
+
+Another ASGI server takes ``service.app:create_app`` as a factory; the variables of
+``service.machine.environment`` are then for whoever starts it to set.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ from fastapi import FastAPI
 from fastapi.routing import APIRoute
 from starlette.types import ASGIApp
 
-from service import __version__
+from neuralmusic import __version__
 from service.api import admin, catalog, localize, metrics, noise, page, probes, sessions, stream
 from service.api.contract.keys import document_guard
 from service.api.middleware.body_deadline import BodyDeadline

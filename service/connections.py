@@ -15,8 +15,8 @@ from uvicorn.protocols.http.flow_control import CLOSE_HEADER
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
+from neuralmusic.errors import RequestTimeout
 from service.api.problems import problem_response
-from service.errors import RequestTimeout
 
 HEAD_TIMEOUT_S = 10.0
 """Seconds for a request's head, from the connection or a further request's first byte"""

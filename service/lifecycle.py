@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from service.errors import Draining
+from neuralmusic.errors import Draining
 
 
 class Phase(IntEnum):

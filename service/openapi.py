@@ -40,7 +40,7 @@ def main() -> int:
     try:
         sys.stdout.write(document_yaml())
     except ModuleNotFoundError as error:
-        print(f"{error}: pip install 'neuralmusic[dev]'", file=sys.stderr)
+        print(f"{error}: pip install ./client '.[dev]'", file=sys.stderr)
         return 1
     return 0
 

@@ -15,6 +15,10 @@ import ray
 from fastapi import FastAPI
 from ray import serve
 
+from service.machine.environment import prepare_process
+
+prepare_process()  # a replica begins here: what follows imports numpy
+
 from service.api.state import ServiceState
 from service.app import create_app
 from service.server import FAREWELL

@@ -15,11 +15,11 @@ from contextlib import suppress
 import uvicorn
 from fastapi import FastAPI
 
+from neuralmusic.errors import ReloadRefused
 from service.api.middleware.hosts import is_loopback
 from service.api.state import ServiceState
 from service.app import create_app
 from service.connections import HttpProtocol, StreamProtocol, limit_untaken
-from service.errors import ReloadRefused
 from service.lifecycle import Phase
 from service.observability.logs import configure_logging, server_log_level
 from service.settings import Settings

@@ -18,8 +18,8 @@ from pydantic import Field, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from neuralmusic.errors import ConfigError
 from service.access.key_file import TOKEN
-from service.errors import ConfigError
 from service.machine.cpus import usable_cpus
 
 PREFIX = "NEURALMUSIC_"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from service.errors import ConfigError, UnknownModel
+from neuralmusic.errors import ConfigError, UnknownModel
 from service.inference.registry import BundleRegistry
 from service.settings import Settings
 

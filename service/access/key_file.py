@@ -25,7 +25,7 @@ from typing import Literal, get_args
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
-from service.errors import ConfigError
+from neuralmusic.errors import ConfigError
 
 log = logging.getLogger(__name__)
 

@@ -13,9 +13,9 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
+from neuralmusic.errors import AccessError, KeyExpired, KeyMissing, KeyUnknown, RoleMissing
 from service.access.key_file import ROLES, Key, Role, read_keys, token_sha256
 from service.access.usage import Usage
-from service.errors import AccessError, KeyExpired, KeyMissing, KeyUnknown, RoleMissing
 
 ANYONE = Key(name="anyone", sha256="0" * 64, roles=ROLES)
 """Stands for every client of a service without keys; everything is allowed"""

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 
-from service.errors import AudioQuota, DoaError, TooManySessions, TooManyUploads
+from neuralmusic.errors import AudioQuota, DoaError, TooManySessions, TooManyUploads
 
 HOUR_S = 3600.0
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from fastapi import APIRouter, Request
 
+from neuralmusic.errors import Draining, NotReady, ReloadRefused
 from service.api.problems import problem_responses
 from service.api.schemas import ModelsAnswer
 from service.api.state import state_of
-from service.errors import Draining, NotReady, ReloadRefused
 
 router = APIRouter(prefix="/admin", tags=["service"])
 

@@ -10,11 +10,7 @@ from typing import Annotated
 import anyio.to_thread
 from fastapi import APIRouter, HTTPException, Path, Request, Response
 
-from service.api.catalog import NOT_FOUND
-from service.api.middleware.guard import key_of
-from service.api.problems import problem_responses
-from service.api.state import state_of
-from service.errors import (
+from neuralmusic.errors import (
     DiskFull,
     InvalidOption,
     NoiseProfileInvalid,
@@ -23,6 +19,10 @@ from service.errors import (
     UnknownNoise,
     UploadTooLarge,
 )
+from service.api.catalog import NOT_FOUND
+from service.api.middleware.guard import key_of
+from service.api.problems import problem_responses
+from service.api.state import state_of
 from service.inference.noise_profile import MAX_BYTES, load_noise, noise_bytes
 from service.inference.noise_store import NoiseStore, StoredNoise
 from service.recordings.answers import Answer

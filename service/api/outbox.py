@@ -6,7 +6,7 @@ import asyncio
 from collections import deque
 from typing import NamedTuple
 
-from service.protocol.server_messages import Result, ServerMessage
+from neuralmusic.protocol.server_messages import Result, ServerMessage
 
 MAX_DROPPABLE = 32
 """Most results queued for a client that reads slowly: three seconds at 10 Hz"""

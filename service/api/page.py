@@ -14,7 +14,7 @@ from typing import Literal
 
 from fastapi import APIRouter, HTTPException, Request, Response
 
-from service import __version__
+from neuralmusic import __version__
 from service.recordings.answers import Answer
 
 router = APIRouter(tags=["service"])

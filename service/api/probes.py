@@ -6,10 +6,10 @@ from typing import Literal
 
 from fastapi import APIRouter, Request, Response
 
+from neuralmusic.errors import Draining, NotReady
+from service.api.contract.asyncapi import document_json
 from service.api.problems import problem_responses
 from service.api.state import state_of
-from service.errors import Draining, NotReady
-from service.protocol.asyncapi import document_json
 from service.recordings.answers import Answer
 
 router = APIRouter(tags=["service"])

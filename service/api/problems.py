@@ -17,8 +17,8 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 from starlette.types import Receive, Scope, Send
 
+from neuralmusic.errors import UNEXPECTED, DoaError, InvalidOption, RoleMissing, Unauthorized
 from service.api.middleware.request_watch import PROBLEM
-from service.errors import UNEXPECTED, DoaError, InvalidOption, RoleMissing, Unauthorized
 
 log = logging.getLogger(__name__)
 

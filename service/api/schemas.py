@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Literal, Self
 
+from neuralmusic.arrays import RAW_CHANNELS
 from service.doa.array import MicrophoneArray
-from service.doa.presets import RAW_CHANNELS
 from service.inference.bundle import Bundle
 from service.recordings.answers import Answer, ModelAnswer, Position
 

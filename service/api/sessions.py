@@ -11,15 +11,15 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, HTTPException, Query, Request
 from starlette.responses import Response, StreamingResponse
 
+from neuralmusic.errors import InvalidOption
+from neuralmusic.protocol.message import message_type
+from neuralmusic.protocol.methods import Method
+from neuralmusic.protocol.server_messages import Closing, ServerMessage, StreamError
 from service.api.catalog import NOT_FOUND
 from service.api.middleware.guard import key_of
 from service.api.outbox import message_json
 from service.api.problems import problem_responses
 from service.api.state import state_of
-from service.errors import InvalidOption
-from service.protocol.message import message_type
-from service.protocol.methods import Method
-from service.protocol.server_messages import Closing, ServerMessage, StreamError
 from service.recordings.answers import Answer
 from service.streaming.export import FORMATS, export_csv, export_json_lines
 from service.streaming.registry import SessionEntry

@@ -10,9 +10,9 @@ import anyio.to_thread
 from anyio import CapacityLimiter
 from fastapi import Request
 
+from neuralmusic.errors import DoaError, NotReady, ReloadRefused
 from service.access.keys import Keys
 from service.audio.recording import AudioLimits
-from service.errors import DoaError, NotReady, ReloadRefused
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.lifecycle import Lifecycle, Phase

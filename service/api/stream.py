@@ -7,14 +7,7 @@ from contextlib import ExitStack, suppress
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
-from service.access.key_file import Key
-from service.access.keys import ANYONE
-from service.api.middleware.guard import key_of
-from service.api.outbox import Outbox, message_json
-from service.api.problems import problem_response
-from service.api.state import ServiceState
-from service.api.stream_watch import StreamWatch
-from service.errors import (
+from neuralmusic.errors import (
     AccessError,
     AudioQuota,
     DoaError,
@@ -22,11 +15,18 @@ from service.errors import (
     SubprotocolMissing,
     TooManySessions,
 )
+from neuralmusic.protocol import SUBPROTOCOL
+from neuralmusic.protocol.close_codes import CloseCode
+from neuralmusic.protocol.server_messages import RESULTS, ServerMessage, Stats
+from service.access.key_file import Key
+from service.access.keys import ANYONE
+from service.api.middleware.guard import key_of
+from service.api.outbox import Outbox, message_json
+from service.api.problems import problem_response
+from service.api.state import ServiceState
+from service.api.stream_watch import StreamWatch
 from service.machine.memory import give_back_memory
 from service.observability.logs import session_id
-from service.protocol import SUBPROTOCOL
-from service.protocol.close_codes import CloseCode
-from service.protocol.server_messages import RESULTS, ServerMessage, Stats
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session
 from service.streaming.work import Close, Outcome

@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping
 from contextvars import copy_context
 from typing import Any
 
-from service.observability.metrics import Metrics
-from service.protocol.server_messages import (
+from neuralmusic.protocol.server_messages import (
     RESULTS,
     Closing,
     OdasSsl,
@@ -16,6 +15,7 @@ from service.protocol.server_messages import (
     ServerMessage,
     StreamError,
 )
+from service.observability.metrics import Metrics
 from service.streaming.account import Account
 
 log = logging.getLogger(__name__)

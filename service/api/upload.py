@@ -13,7 +13,7 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 
-from service.errors import (
+from neuralmusic.errors import (
     DiskFull,
     DoaError,
     InvalidOption,

@@ -17,10 +17,7 @@ import numpy as np
 import soundfile
 import soxr
 
-from service.audio.containers import HEAD_BYTES, promised_bytes
-from service.audio.wav import PIPE_SIZES, WavHeader, is_wav, read_wav_header
-from service.doa.types import FloatArray
-from service.errors import (
+from neuralmusic.errors import (
     AudioTooLong,
     EmptyAudio,
     NonFiniteAudio,
@@ -29,6 +26,9 @@ from service.errors import (
     TruncatedAudio,
     UnsupportedSampleRate,
 )
+from neuralmusic.wav import PIPE_SIZES, WavHeader, is_wav, read_wav_header
+from service.audio.containers import HEAD_BYTES, promised_bytes
+from service.doa.types import FloatArray
 
 BLOCK_SECONDS = 2
 MAX_BLOCK_SAMPLES = 4 * 2**20

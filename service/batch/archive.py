@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.errors import InvalidOption
+from neuralmusic.errors import InvalidOption
 
 Key = tuple[str, int, int]
 """Path, bytes, milliseconds: equal where a file has not changed"""

@@ -6,11 +6,11 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from neuralmusic.errors import ConfigError, WorkerLost
 from service.batch.archive import FoundRecording
 from service.batch.plan import Plan
 from service.batch.record import Record, failed
 from service.batch.worker import BatchWorker
-from service.errors import ConfigError, WorkerLost
 
 LOST = (
     "the process that localized this recording ended: run the same command again to try it once "
@@ -116,7 +116,8 @@ def _ray() -> Any:
         from ray import exceptions, init  # noqa: F401
     except ImportError:
         raise ConfigError(
-            "--engine ray needs Ray: pip install 'neuralmusic[ray]', or take --engine local"
+            "--engine ray needs Ray: pip install ./client '.[ray]' in the project's folder, or "
+            "take --engine local"
         ) from None
     import ray
 

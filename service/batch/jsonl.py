@@ -10,10 +10,10 @@ from typing import BinaryIO
 
 from pydantic_core import from_json, to_json
 
+from neuralmusic.errors import InvalidOption
 from service.batch.archive import FoundRecording, Key
 from service.batch.plan import Plan
 from service.batch.record import AGAIN, Record, error_code, key_of
-from service.errors import InvalidOption
 
 BEGINNING = b'{"path":'
 """First bytes of a record's line; an interrupted run may leave the line unfinished"""

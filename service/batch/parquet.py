@@ -13,11 +13,11 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from neuralmusic.errors import ConfigError, InvalidOption
 from service.batch.archive import FoundRecording, Key
 from service.batch.jsonl import JsonLinesResult
 from service.batch.plan import Plan
 from service.batch.record import AGAIN, Record, key_of
-from service.errors import ConfigError, InvalidOption
 
 METADATA = b"neuralmusic"
 """Key of the file's metadata: JSON with the options and models of all its recordings"""
@@ -193,7 +193,7 @@ def _pyarrow() -> tuple[Any, Any]:
         import pyarrow.parquet
     except ImportError:
         raise ConfigError(
-            "a Parquet result needs pyarrow: pip install 'neuralmusic[parquet]', or name the "
-            "--out .jsonl"
+            "a Parquet result needs pyarrow: pip install ./client '.[parquet]' in the project's "
+            "folder, or name the --out .jsonl"
         ) from None
     return pyarrow, pyarrow.parquet

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
+from neuralmusic.errors import InvalidOption
+from neuralmusic.protocol.methods import Method
 from service.audio.recording import AudioLimits
-from service.errors import InvalidOption
 from service.inference.choice import choose_method
 from service.inference.results import ModelIdentity
-from service.protocol.methods import Method
 from service.recordings.answers import ModelAnswer
 from service.recordings.job import RecordingJob
 from service.recordings.options import LocalizeRequest

@@ -6,9 +6,9 @@ from typing import Any
 
 from pydantic_core import from_json
 
+from neuralmusic.errors import DoaError, RecordingUnreadable, WorkerLost
 from service.batch.archive import FoundRecording, Key
 from service.batch.plan import Plan
-from service.errors import DoaError, RecordingUnreadable, WorkerLost
 from service.recordings.job import Localized
 
 Record = dict[str, Any]

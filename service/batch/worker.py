@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from neuralmusic.errors import DecodingFailed, DoaError, RecordingUnreadable, WorkerLost
 from service.batch.archive import FoundRecording
 from service.batch.plan import Plan
 from service.batch.record import Record, failed, localized
-from service.errors import DecodingFailed, DoaError, RecordingUnreadable, WorkerLost
 from service.recordings.job import Progress, Report
 from service.workers.recording_pool import RecordingWorker
 

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from neuralmusic.protocol.client_messages import AudioFormat, OutputOptions
 from service.bench.stages import window_stages
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
@@ -23,7 +24,6 @@ from service.doa.types import FloatArray
 from service.inference.bundle import Bundle
 from service.inference.classical import BAND, ClassicalLocalizer
 from service.inference.localizer import localizer_of
-from service.protocol.client_messages import AudioFormat, OutputOptions
 from service.streaming.buffer import Piece
 from service.streaming.pipeline import StreamPipeline, StreamPlan
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from neuralmusic.errors import InvalidChannelMap, InvalidGeometry
 from service.doa.types import FloatArray
-from service.errors import InvalidChannelMap, InvalidGeometry
 
 MIN_MICROPHONES = 2
 MAX_MICROPHONES = 32

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from neuralmusic.errors import TooManySources
 from service.doa.covariance import MOST_PLANES
 from service.doa.types import ComplexArray, FloatArray
-from service.errors import TooManySources
 
 SQUARINGS = 3
 APPLICATIONS = 3

@@ -22,11 +22,11 @@ from typing import Self
 
 import numpy as np
 
+from neuralmusic.errors import NoiseCalibrationFailed, NoiseMismatch
 from service.doa.array import MicrophoneArray
 from service.doa.silence import SILENCE
 from service.doa.stft import Stft
 from service.doa.types import ComplexArray, FloatArray
-from service.errors import NoiseCalibrationFailed, NoiseMismatch
 
 LOADING = 1e-4
 """Diagonal loading against Q's mean eigenvalue. It attenuates a fan that all microphones hear alike
@@ -84,7 +84,7 @@ class NoiseEstimator:
         # The STFT loses up to a frame at the beginning.
         if self._frames == 0 or self.seconds + self._stft.n_fft / self._stft.sample_rate < needed:
             raise NoiseCalibrationFailed(
-                f"{self.seconds:.1f} s of noise are too short to learn it: record at least "
+                f"{self.seconds:.1f} s of noise are too few to learn it: record at least "
                 f"{needed:.1f} s, better 5, of the robot's own noise alone"
             )
         covariance = self._sum / self._frames

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
+from neuralmusic.errors import BundleCorrupt, BundleIncompatible, BundleNotFound
 from service.doa.array import MicrophoneArray
 from service.doa.stft import Stft
 from service.doa.types import FloatArray
-from service.errors import BundleCorrupt, BundleIncompatible, BundleNotFound
 from service.inference.engine import Engine
 from service.inference.manifest import SCHEMA_VERSION, Graph, Manifest
 from service.inference.results import ModelIdentity

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from neuralmusic.errors import GeometryMismatch, TooManySources
+from neuralmusic.protocol.methods import Method
 from service.doa.array import MicrophoneArray
-from service.errors import GeometryMismatch, TooManySources
 from service.inference.bundle import Bundle
 from service.inference.registry import BundleRegistry
 from service.inference.results import AudioWarning
-from service.protocol.methods import Method
 
 
 def check_num_sources(num_sources: int | None, microphones: int) -> None:

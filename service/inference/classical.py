@@ -9,6 +9,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from neuralmusic.protocol.methods import Method
 from service.doa import classical
 from service.doa.array import MicrophoneArray
 from service.doa.covariance import sample_covariance
@@ -20,7 +21,6 @@ from service.doa.stft import Stft
 from service.doa.types import ComplexArray, FloatArray
 from service.doa.whitening import NoiseCovariance, Whitening
 from service.inference.results import Source, WindowEstimate
-from service.protocol.methods import Method
 
 BAND = (300.0, 3500.0)
 """Hertz: below, small arrays see no delay; above, speech is weak and delays are ambiguous"""

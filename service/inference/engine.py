@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import onnxruntime as ort
 
+from neuralmusic.errors import BundleCorrupt
 from service.doa.types import FloatArray
-from service.errors import BundleCorrupt
 
 
 class Engine:

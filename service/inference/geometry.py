@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from neuralmusic.errors import ChannelMismatch, InvalidGeometry, InvalidOption
 from service.doa.array import MAX_MICROPHONES, MicrophoneArray, validate_channel_map
 from service.doa.presets import preset, raw_channels
-from service.errors import ChannelMismatch, InvalidGeometry, InvalidOption
 from service.inference.results import AudioWarning
 
 MAX_NAME = 64
@@ -62,18 +62,6 @@ def given_array(name: Any, positions: Any) -> MicrophoneArray:
     if name is None:
         raise InvalidOption(f"array holds neither a preset's name nor {FORM}")
     return preset(name)
-
-
-def read_channel_map(text: str) -> tuple[int, ...]:
-    """Channels as a JSON list or separated by commas; raises ValueError."""
-    sentence = "must list one whole number per microphone, as 1,2,3,4 or [1,2,3,4]"
-    try:
-        channels = json.loads(text if text.startswith("[") else f"[{text}]")
-    except (ValueError, RecursionError):
-        raise ValueError(sentence) from None
-    if not channels or not all(type(channel) is int for channel in channels):
-        raise ValueError(sentence)
-    return tuple(channels)
 
 
 def choose_channels(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from neuralmusic.errors import InvalidOption
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 from service.doa.whitening import NoiseCovariance
-from service.errors import InvalidOption
 from service.inference.bundle import Bundle
 from service.inference.regression import RegressionLocalizer
 from service.inference.results import WindowEstimate

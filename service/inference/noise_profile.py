@@ -19,10 +19,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.lib import format as npy
 
+from neuralmusic.errors import InvalidGeometry, NoiseProfileInvalid
 from service.doa.array import MAX_MICROPHONES, MicrophoneArray
 from service.doa.stft import Stft
 from service.doa.whitening import NoiseCovariance
-from service.errors import InvalidGeometry, NoiseProfileInvalid
 from service.inference.geometry import MAX_NAME
 
 FORMAT = 1

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from neuralmusic.errors import ConfigError, InvalidOption, NoiseError, NoiseStoreFull, UnknownNoise
 from service.doa.whitening import NoiseCovariance
-from service.errors import ConfigError, InvalidOption, NoiseError, NoiseStoreFull, UnknownNoise
 from service.inference.noise_profile import load_noise, save_noise
 
 logger = logging.getLogger(__name__)

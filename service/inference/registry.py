@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from service.doa.array import MicrophoneArray
-from service.errors import (
+from neuralmusic.errors import (
     BundleCorrupt,
     BundleNotFound,
     GeometryMismatch,
     SelfTestFailed,
     UnknownModel,
 )
+from service.doa.array import MicrophoneArray
 from service.inference.bundle import (
     MANIFEST,
     Bundle,

@@ -17,11 +17,12 @@ from typing import Protocol
 
 import numpy as np
 
+from neuralmusic.errors import InvalidOption
+from neuralmusic.protocol.methods import Method
 from service.doa.array import MicrophoneArray
 from service.doa.stft import Stft
 from service.doa.types import ComplexArray
 from service.doa.whitening import NoiseCovariance
-from service.errors import InvalidOption
 from service.inference.bundle import COVARIANCE_STREAM, Bundle
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import localizer_of
@@ -30,7 +31,6 @@ from service.inference.regression import RegressionLocalizer
 from service.inference.results import WindowEstimate
 from service.inference.weights import BLOCK_FRAMES
 from service.inference.weights_stream import WeightsStream
-from service.protocol.methods import Method
 
 
 class StreamLocalizer(Protocol):

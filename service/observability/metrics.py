@@ -20,7 +20,7 @@ from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.exposition import choose_encoder
 from prometheus_client.registry import Collector
 
-from service.errors import DoaError
+from neuralmusic.errors import DoaError
 from service.inference.results import ModelIdentity
 
 Kind = Literal["stream", "recording"]
@@ -229,7 +229,7 @@ def _gauge(name: str, meaning: str, value: float) -> GaugeMetricFamily:
 
 
 def error_codes() -> Iterator[str]:
-    """The codes of ``service.errors``; the service never sends those of the clients."""
+    """The codes of ``neuralmusic.errors``; the service never sends those of the clients."""
     pending = [DoaError]
     while pending:
         error = pending.pop()

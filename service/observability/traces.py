@@ -12,8 +12,8 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from service import __version__
-from service.errors import ConfigError
+from neuralmusic import __version__
+from neuralmusic.errors import ConfigError
 
 if TYPE_CHECKING:
     from fastapi.telemetry import TelemetryConfig
@@ -114,4 +114,7 @@ def _provider(endpoint: str) -> Any:
 
 
 def _missing() -> ConfigError:
-    return ConfigError("traces need an extra: pip install 'neuralmusic[otel]', or leave traces out")
+    return ConfigError(
+        "traces need an extra: pip install ./client '.[otel]' in the project's folder, or leave "
+        "traces out"
+    )

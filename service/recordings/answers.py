@@ -6,9 +6,9 @@ from typing import Self
 
 from pydantic import BaseModel, ConfigDict
 
+from neuralmusic.protocol.degrees import azimuth_deg, unit_vector
+from neuralmusic.protocol.methods import Method
 from service.inference.results import Source
-from service.protocol.degrees import azimuth_deg, unit_vector
-from service.protocol.methods import Method
 from service.recordings.results import RecordingResult, SummarySource, WindowResult
 
 Position = tuple[float, float, float]

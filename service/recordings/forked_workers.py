@@ -22,7 +22,7 @@ from itertools import chain, count, islice
 from multiprocessing import get_context
 from typing import Any, TypeVar
 
-from service.errors import WorkerLost
+from neuralmusic.errors import WorkerLost
 
 InputT = TypeVar("InputT")
 ResultT = TypeVar("ResultT")

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import BinaryIO
 
+from neuralmusic.errors import DoaError, InvalidOption
 from service.audio.recording import AudioLimits, Recording
-from service.errors import DoaError, InvalidOption
 from service.inference.registry import BundleRegistry
 from service.recordings.answer_json import localization_json
 from service.recordings.localize import localize_recording

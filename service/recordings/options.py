@@ -5,35 +5,34 @@ Options arrive as text, in the query or in form fields, and become ``LocalizeOpt
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import partial
 from typing import Any
 
+from neuralmusic.errors import InvalidOption, TooManySources, UnknownMethod
+from neuralmusic.option_text import (
+    read_channel_map,
+    read_flag,
+    read_integer,
+    read_number,
+    read_sectors,
+    read_text,
+)
+from neuralmusic.protocol.message import SHOWN
+from neuralmusic.protocol.methods import METHODS
 from service.doa.array import MicrophoneArray, validate_channel_map
 from service.doa.orientation import Orientation
 from service.doa.presets import PRESETS
-from service.errors import InvalidOption, TooManySources, UnknownMethod
-from service.inference.geometry import read_array, read_channel_map
+from service.inference.geometry import read_array
 from service.inference.results import MAX_SOURCES
-from service.protocol.message import SHOWN
-from service.protocol.methods import METHODS
 from service.recordings.results import (
     DEFAULT_HOP_S,
     DEFAULT_MAX_SOURCES,
     DEFAULT_WINDOW_S,
     LocalizeOptions,
 )
-
-NUMBER = re.compile(r"-?(\d+(\.\d+)?(e-?\d+)?|\.\d+(e-?\d+)?|\d+\.)", re.ASCII | re.IGNORECASE)
-"""Numbers that clients may write; float() would also take "nan", "1_0" and digits of any script.
-No part may match in two ways: 64,000 digits and a letter would take minutes"""
-MAX_DIGITS = 64
-"""Most characters of a number"""
-MAX_SECTORS = 16
-"""Most excluded sectors, as for a stream"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,57 +57,16 @@ class Option:
 
 def number(low: float, high: float, default: float, description: str) -> Option:
     """A real number within bounds."""
-
-    def read(text: str) -> float:
-        if len(text) > MAX_DIGITS or not NUMBER.fullmatch(text):
-            raise ValueError(f"must be a number from {low:g} to {high:g}")
-        value = float(text)
-        if not low <= value <= high:
-            raise ValueError(f"must be from {low:g} to {high:g}")
-        return value
-
     bounds = {"type": "number", "minimum": low, "maximum": high, "default": default}
-    return Option(read, bounds, description)
+    return Option(partial(read_number, low=low, high=high), bounds, description)
 
 
 def integer(low: int, high: int, default: int | None, description: str) -> Option:
     """A whole number of at least ``low``; the caller checks ``high``."""
-
-    def read(text: str) -> int:
-        if not re.fullmatch(r"-?\d{1,9}", text, re.ASCII) or int(text) < low:
-            raise ValueError(f"must be a whole number from {low} to {high}")
-        return int(text)
-
     bounds = {"type": "integer", "minimum": low, "maximum": high}
     if default is not None:
         bounds["default"] = default
-    return Option(read, bounds, description)
-
-
-def read_flag(text: str) -> bool:
-    """A truth value in one of the spellings that clients use."""
-    if text.lower() in ("true", "1", "yes", "on"):
-        return True
-    if text.lower() in ("false", "0", "no", "off"):
-        return False
-    raise ValueError("must be true or false")
-
-
-def read_sectors(text: str) -> tuple[tuple[float, float], ...]:
-    """Sectors written as ``80:100,350:10``."""
-    sentence = "must list sectors as from:to in degrees from -360 to 360, as 80:100,350:10"
-    parts = text.split(",", MAX_SECTORS)
-    if len(parts) > MAX_SECTORS:
-        raise ValueError(f"may list at most {MAX_SECTORS} sectors")
-    sectors = []
-    for part in parts:
-        if not re.fullmatch(r"\s*-?\d{1,3}(\.\d{1,6})?:-?\d{1,3}(\.\d{1,6})?\s*", part, re.ASCII):
-            raise ValueError(sentence)
-        first, last = map(float, part.split(":"))
-        if max(abs(first), abs(last)) > 360 or (last - first) % 360 == 0:
-            raise ValueError(f"{sentence}; none may be empty or the whole circle")
-        sectors.append((first, last))
-    return tuple(sectors)
+    return Option(partial(read_integer, low=low, high=high), bounds, description)
 
 
 OPTIONS: Mapping[str, Option] = {
@@ -208,7 +166,6 @@ def read_options(pairs: Iterable[tuple[str, str]]) -> LocalizeRequest:
 
 def read_option(name: str, text: str) -> Any:
     """The value of one option from its text, or InvalidOption."""
-    text = text.strip()
     option = OPTIONS.get(name)
     if option is None:
         close = get_close_matches(name, OPTIONS, n=1)
@@ -216,13 +173,7 @@ def read_option(name: str, text: str) -> Any:
         raise InvalidOption(
             f"there is no option {name[:SHOWN]!r}: {hint}the options are {', '.join(OPTIONS)}"
         )
-    if not text:
-        raise InvalidOption(f"{name} is empty: give a value or leave it out")
-    try:
-        return option.read(text)
-    except ValueError as error:
-        shown = text if len(text) <= SHOWN else text[:SHOWN] + "..."
-        raise InvalidOption(f"{name} {error}, but is {json.dumps(shown)}") from None
+    return read_text(name, text, option.read)
 
 
 def _check(values: dict[str, Any]) -> None:

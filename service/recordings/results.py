@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from neuralmusic.protocol.methods import Method
 from service.doa.array import MicrophoneArray
 from service.doa.orientation import ALIGNED, Orientation
 from service.doa.whitening import NoiseCovariance
 from service.inference.results import AudioWarning, ModelIdentity, WindowEstimate
-from service.protocol.methods import Method
 
 DEFAULT_WINDOW_S = 1.024
 DEFAULT_HOP_S = 0.512

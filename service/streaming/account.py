@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
-from service.protocol.server_messages import StreamSource, TrackSummary
+from neuralmusic.protocol.server_messages import StreamSource, TrackSummary
 from service.streaming.history import History, HistoryEntry, Point
 from service.streaming.pipeline import Estimate
 

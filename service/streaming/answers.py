@@ -6,11 +6,11 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from neuralmusic.protocol.degrees import azimuth_deg, degrees, unit_vector
+from neuralmusic.protocol.server_messages import ODAS_HOP_S, OdasPotential, OdasSource, StreamSource
 from service.doa.orientation import Orientation
 from service.doa.peaks import find_peaks
 from service.doa.tracking import Track
-from service.protocol.degrees import azimuth_deg, degrees, unit_vector
-from service.protocol.server_messages import ODAS_HOP_S, OdasPotential, OdasSource, StreamSource
 from service.streaming.pipeline import Estimate
 
 ODAS_PLACES = 4

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-from service.protocol.framing import NANOSECONDS
+from neuralmusic.protocol.framing import NANOSECONDS
 
 
 class Piece(NamedTuple):

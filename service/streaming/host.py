@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from service.errors import UNEXPECTED, DoaError
+from neuralmusic.errors import UNEXPECTED, DoaError
 from service.inference.registry import BundleRegistry
 from service.streaming.opening import open_stream
 from service.streaming.pipeline import StreamPipeline

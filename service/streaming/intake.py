@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from neuralmusic.errors import InvalidMessage, MessageTooBig
+from neuralmusic.protocol import MAX_MESSAGE_BYTES
+from neuralmusic.protocol.client_messages import AudioFormat
+from neuralmusic.protocol.framing import HEADER, NANOSECONDS, SEQUENCE_MODULUS, FrameHeader
 from service.audio.pcm import container_of
-from service.errors import InvalidMessage, MessageTooBig
-from service.protocol import MAX_MESSAGE_BYTES
-from service.protocol.client_messages import AudioFormat
-from service.protocol.framing import HEADER, NANOSECONDS, SEQUENCE_MODULUS, FrameHeader
 from service.streaming.buffer import AudioBuffer, Piece
 
 LONGEST_GAP = 3600.0

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from service.doa.stft import Stft
-from service.errors import (
+from neuralmusic.errors import (
     InvalidChannelMap,
     InvalidOption,
     NoiseMismatch,
 )
+from neuralmusic.protocol.server_messages import StreamArray, StreamModel
+from service.doa.stft import Stft
 from service.inference.choice import (
     check_num_sources,
     choose_method,
@@ -18,7 +19,6 @@ from service.inference.choice import (
 from service.inference.geometry import choose_channels, given_array
 from service.inference.registry import BundleRegistry
 from service.inference.results import AudioWarning
-from service.protocol.server_messages import StreamArray, StreamModel
 from service.streaming.pipeline import StreamPipeline, StreamPlan
 from service.streaming.work import Open, StreamOpened
 

@@ -10,6 +10,11 @@ from typing import NamedTuple
 import numpy as np
 import soxr
 
+from neuralmusic.errors import InvalidOption, NoiseCalibrationFailed
+from neuralmusic.protocol.client_messages import AudioFormat, OutputOptions
+from neuralmusic.protocol.framing import NANOSECONDS
+from neuralmusic.protocol.methods import Method
+from neuralmusic.protocol.server_messages import WhyNoSource
 from service.audio.pcm import decode_pcm
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics.running import RunningDiagnostics
@@ -19,14 +24,9 @@ from service.doa.stft import Stft, StreamingStft
 from service.doa.tracking import Detection, Track, Tracker
 from service.doa.types import ComplexArray, FloatArray
 from service.doa.whitening import NoiseCovariance, NoiseEstimator
-from service.errors import InvalidOption, NoiseCalibrationFailed
 from service.inference.bundle import Bundle
 from service.inference.results import WindowEstimate
 from service.inference.stream import stream_localizer_of
-from service.protocol.client_messages import AudioFormat, OutputOptions
-from service.protocol.framing import NANOSECONDS
-from service.protocol.methods import Method
-from service.protocol.server_messages import WhyNoSource
 from service.streaming.buffer import Piece
 from service.streaming.clock import StreamClock
 

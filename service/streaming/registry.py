@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
-from service.errors import Overloaded
-from service.protocol.server_messages import Ready, ServerMessage
+from neuralmusic.errors import Overloaded
+from neuralmusic.protocol.server_messages import Ready, ServerMessage
 from service.streaming.reporter import Reporter
 from service.streaming.session import Session
 

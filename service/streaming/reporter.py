@@ -6,12 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from service.doa.orientation import Orientation
-from service.errors import DoaError
-from service.protocol import MAX_MESSAGE_BYTES
-from service.protocol.client_messages import OutputOptions, Start
-from service.protocol.close_codes import CloseCode
-from service.protocol.server_messages import (
+from neuralmusic.errors import DoaError
+from neuralmusic.protocol import MAX_MESSAGE_BYTES
+from neuralmusic.protocol.client_messages import OutputOptions, Start
+from neuralmusic.protocol.close_codes import CloseCode
+from neuralmusic.protocol.server_messages import (
     Closing,
     Limits,
     NoiseInUse,
@@ -27,6 +26,7 @@ from service.protocol.server_messages import (
     Timing,
     WarningCode,
 )
+from service.doa.orientation import Orientation
 from service.streaming.account import Account
 from service.streaming.answers import (
     odas_potentials,

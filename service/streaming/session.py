@@ -17,8 +17,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Literal
 
-from service.doa.whitening import NoiseCovariance
-from service.errors import (
+from neuralmusic.errors import (
     AudioBeforeStart,
     DoaError,
     InvalidMessage,
@@ -29,10 +28,8 @@ from service.errors import (
     TooManySources,
     UnknownNoise,
 )
-from service.inference.choice import check_num_sources
-from service.inference.noise_store import NoiseStore
-from service.protocol import MAX_MESSAGE_BYTES
-from service.protocol.client_messages import (
+from neuralmusic.protocol import MAX_MESSAGE_BYTES
+from neuralmusic.protocol.client_messages import (
     Calibrate,
     Flush,
     OutputOptions,
@@ -42,8 +39,11 @@ from service.protocol.client_messages import (
     Update,
     read_client_message,
 )
-from service.protocol.close_codes import CloseCode
-from service.protocol.server_messages import Calibrated, Flushed, Pong
+from neuralmusic.protocol.close_codes import CloseCode
+from neuralmusic.protocol.server_messages import Calibrated, Flushed, Pong
+from service.doa.whitening import NoiseCovariance
+from service.inference.choice import check_num_sources
+from service.inference.noise_store import NoiseStore
 from service.streaming.clock import StreamClock
 from service.streaming.intake import Intake
 from service.streaming.reporter import Reporter, SessionLimits

@@ -10,13 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from neuralmusic.errors import DoaError
+from neuralmusic.protocol.client_messages import OutputOptions, Start
+from neuralmusic.protocol.methods import Method
+from neuralmusic.protocol.server_messages import StreamArray, StreamModel
 from service.doa.diagnostics import Finding
 from service.doa.whitening import NoiseCovariance
-from service.errors import DoaError
 from service.inference.results import AudioWarning
-from service.protocol.client_messages import OutputOptions, Start
-from service.protocol.methods import Method
-from service.protocol.server_messages import StreamArray, StreamModel
 from service.streaming.buffer import Piece
 from service.streaming.clock import StreamClock
 from service.streaming.pipeline import Estimate

@@ -22,6 +22,7 @@ from typing import Any
 
 from service.inference.bundle import BundleFiles
 from service.inference.registry import BundleRegistry
+from service.machine.environment import VARIABLES
 from service.observability.logs import configure_logging
 from service.settings import Settings
 
@@ -116,6 +117,7 @@ def run_worker(serve: Callable[[Link, Settings, BundleRegistry], None]) -> None:
 def worker_environment() -> dict[str, str]:
     """The environment of a worker process."""
     return {
+        **VARIABLES,
         **os.environ,
         # A stream's or window's matrices are small: threads of the linear algebra cost more than
         # they gain.

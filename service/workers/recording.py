@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import BinaryIO
 
-from service.errors import UNEXPECTED, DoaError, WorkerLost
+from neuralmusic.errors import UNEXPECTED, DoaError, WorkerLost
 from service.inference.registry import BundleRegistry
 from service.machine.memory import give_back_memory, keep_freed_memory
 from service.recordings.job import (

@@ -13,7 +13,7 @@ import anyio
 import anyio.from_thread
 import anyio.to_thread
 
-from service.errors import DecodingFailed, DoaError, Overloaded, WorkerLost
+from neuralmusic.errors import DecodingFailed, DoaError, Overloaded, WorkerLost
 from service.lifecycle import Lifecycle, Phase
 from service.observability.metrics import Metrics
 from service.recordings.job import HeaderRead, Localized, Outcome, RecordingJob, Refused, Report

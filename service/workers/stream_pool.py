@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
 
-from service.errors import WorkerLost
+from neuralmusic.errors import WorkerLost
 from service.observability.metrics import Metrics
 from service.streaming.work import Answer, Check, Failed, Outcome, Work
 from service.workers.link import Setup, Unpacker, packed

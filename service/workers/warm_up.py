@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from neuralmusic.protocol.client_messages import ArrayChoice, AudioFormat, Start
 from service.inference.registry import BundleRegistry
-from service.protocol.client_messages import ArrayChoice, AudioFormat, Start
 from service.streaming.buffer import Piece
 from service.streaming.opening import open_stream
 from service.streaming.work import Open

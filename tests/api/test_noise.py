@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
+from neuralmusic.cli import main
 from service.app import create_app
-from service.cli import main
 from service.doa.presets import preset
 from service.doa.stft import Stft
 from service.doa.whitening import learn_noise

@@ -21,9 +21,9 @@ import pytest
 import soundfile
 from fastapi.testclient import TestClient
 
+from neuralmusic.errors import UNEXPECTED, InvalidOption
 from service.app import create_app
 from service.audio.recording import AudioLimits
-from service.errors import UNEXPECTED, InvalidOption
 from service.inference.registry import BundleRegistry
 from service.lifecycle import Phase
 from service.recordings.job import HeaderRead, Progress, RecordingJob, Refused, localize_file

@@ -10,13 +10,13 @@ import pytest
 from fastapi.testclient import TestClient
 from jsonschema import Draft202012Validator
 
+from neuralmusic.protocol.client_messages import CLIENT_MESSAGES
+from neuralmusic.protocol.message import message_type
+from neuralmusic.protocol.server_messages import SERVER_MESSAGES, WarningCode
+from service.api.contract.asyncapi import document_json, renewed
 from service.app import create_app
 from service.doa.diagnostics.finding import FindingCode
 from service.inference.registry import BundleRegistry
-from service.protocol.asyncapi import document_json, renewed
-from service.protocol.client_messages import CLIENT_MESSAGES
-from service.protocol.message import message_type
-from service.protocol.server_messages import SERVER_MESSAGES, WarningCode
 from service.settings import Settings
 
 ROOT = Path(__file__).parents[2]
@@ -35,13 +35,13 @@ def validator(document: Any, message: str) -> Draft202012Validator:
 
 def test_the_checked_in_document_is_the_models() -> None:
     assert ASYNCAPI.read_text() == document_json(), (
-        "run: python -m service.protocol.asyncapi > asyncapi.json"
+        "run: python -m service.api.contract.asyncapi > asyncapi.json"
     )
 
 
 def test_the_tables_of_the_protocol_are_the_models() -> None:
     text = (ROOT / "docs" / "protocol.md").read_text()
-    assert text == renewed(text), "run: python -m service.protocol.asyncapi docs/protocol.md"
+    assert text == renewed(text), "run: python -m service.api.contract.asyncapi docs/protocol.md"
 
 
 def test_every_message_is_in_the_channel_and_in_one_operation(document: Any) -> None:

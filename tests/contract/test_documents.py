@@ -14,9 +14,9 @@ from model_export.evaluation.results import Results
 from model_export.evaluation.sections import kept_section, marked
 from model_export.experiments.report import section
 from model_export.experiments.scale import SCALES
-from service.client import errors as client_errors  # noqa: F401  (part of the tree)
+from neuralmusic import client_errors  # noqa: F401  (part of the tree)
+from neuralmusic.errors import DoaError
 from service.doa.diagnostics import FindingCode
-from service.errors import DoaError
 from service.inference.bundle import load_bundle, read_manifest
 from service.settings import KEY_VARIABLE, Settings, variable
 

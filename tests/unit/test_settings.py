@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from neuralmusic.cli import main
+from neuralmusic.errors import ConfigError
 from service.access.key_file import new_token
-from service.cli import main
-from service.errors import ConfigError
 from service.machine.cpus import usable_cpus
 from service.settings import RENAMED, Settings, load_settings, variable
 

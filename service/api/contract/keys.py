@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from service.access.key_file import ROLES
-from service.api.middleware.guard import needed_roles
-from service.api.middleware.origins import SAFE_METHODS
-from service.api.problems import MEDIA_TYPE, problem_responses
-from service.errors import (
+from neuralmusic.errors import (
     AudioQuota,
     DoaError,
     HostRefused,
@@ -20,6 +16,10 @@ from service.errors import (
     RoleMissing,
     TooManyUploads,
 )
+from service.access.key_file import ROLES
+from service.api.middleware.guard import needed_roles
+from service.api.middleware.origins import SAFE_METHODS
+from service.api.problems import MEDIA_TYPE, problem_responses
 
 SCHEME = "key"
 EVERYWHERE: tuple[type[DoaError], ...] = (HostRefused, KeyInAddress)

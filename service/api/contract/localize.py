@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from service.errors import (
+from neuralmusic.errors import (
     AudioTooLong,
     ChannelMismatch,
     DecodingFailed,

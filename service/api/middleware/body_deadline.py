@@ -7,7 +7,7 @@ import asyncio
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.errors import RequestTimeout
+from neuralmusic.errors import RequestTimeout
 
 BYTES_PER_S = 500
 """Rate at which a body is never too slow, as in Apache's mod_reqtimeout"""

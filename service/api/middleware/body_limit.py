@@ -5,8 +5,8 @@ from __future__ import annotations
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from neuralmusic.errors import UploadTooLarge
 from service.api.problems import problem_response
-from service.errors import UploadTooLarge
 
 
 class BodyLimit:

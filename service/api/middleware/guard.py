@@ -14,13 +14,13 @@ from starlette.requests import HTTPConnection
 from starlette.routing import Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from neuralmusic.errors import DoaError, KeyInAddress
 from service.access.key_file import ROLES, Key, Role
 from service.access.keys import ANYONE, Keys
 from service.api.middleware.hosts import check_host, is_loopback
 from service.api.middleware.origins import SAFE_METHODS, check_origin
 from service.api.middleware.request_watch import route_path
 from service.api.problems import problem_response
-from service.errors import DoaError, KeyInAddress
 from service.settings import Settings
 
 PUBLIC: tuple[Role, ...] = ()

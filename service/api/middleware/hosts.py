@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from starlette.types import Scope
 
-from service.errors import HostRefused
+from neuralmusic.errors import HostRefused
 
 
 def is_loopback(host: str) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from neuralmusic.errors import ChannelMismatch
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics.bandwidth import bandwidth_findings
 from service.doa.diagnostics.copies import copied_groups, copy_findings
@@ -20,7 +21,6 @@ from service.doa.diagnostics.levels import (
 )
 from service.doa.diagnostics.sound import sound_findings
 from service.doa.types import FloatArray
-from service.errors import ChannelMismatch
 
 QUIET = 1e-6
 """Power of the loudest half second below which audio is quiet: -60 dBFS, 30 dB above the rounding

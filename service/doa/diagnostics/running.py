@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from neuralmusic.errors import ChannelMismatch
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics.channels import QUIET, quiet_finding
 from service.doa.diagnostics.copies import copied_groups, copy_findings
@@ -19,7 +20,6 @@ from service.doa.diagnostics.finding import Finding, FindingCode
 from service.doa.diagnostics.levels import DEAD_BELOW, LevelMeter, dead_channels, level_findings
 from service.doa.diagnostics.sound import sound_findings
 from service.doa.types import FloatArray
-from service.errors import ChannelMismatch
 
 FIRST_LEVELS_S = 2.0
 LEVELS_EVERY_S = 5.0

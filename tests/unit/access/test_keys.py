@@ -13,10 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.access.key_file import ROLES, TOKEN, Key, new_token, read_keys, token_sha256
-from service.access.keys import ANYONE, Keys, matching
-from service.access.usage import Usage
-from service.errors import (
+from neuralmusic.errors import (
     AudioQuota,
     ConfigError,
     DoaError,
@@ -27,6 +24,9 @@ from service.errors import (
     TooManySessions,
     TooManyUploads,
 )
+from service.access.key_file import ROLES, TOKEN, Key, new_token, read_keys, token_sha256
+from service.access.keys import ANYONE, Keys, matching
+from service.access.usage import Usage
 
 NOON = datetime(2030, 1, 1, 12, tzinfo=UTC)
 

@@ -11,18 +11,18 @@ from typing import Any
 
 import pytest
 
-from service.batch.archive import FoundRecording
-from service.batch.jsonl import JsonLinesResult
-from service.batch.parquet import ParquetResult, beside, rows_of
-from service.batch.plan import Plan
-from service.batch.record import Record, failed
-from service.errors import (
+from neuralmusic.errors import (
     DoaError,
     InvalidOption,
     NotAudio,
     RecordingUnreadable,
     WorkerLost,
 )
+from service.batch.archive import FoundRecording
+from service.batch.jsonl import JsonLinesResult
+from service.batch.parquet import ParquetResult, beside, rows_of
+from service.batch.plan import Plan
+from service.batch.record import Record, failed
 
 KINDS = {".jsonl": JsonLinesResult, ".parquet": ParquetResult}
 
@@ -37,7 +37,7 @@ A, B, C = found("a.wav"), found("b.wav"), found("c.wav")
 @pytest.fixture(params=list(KINDS))
 def out(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     if request.param == ".parquet":
-        pytest.importorskip("pyarrow", reason="needs pyarrow: pip install 'neuralmusic[parquet]'")
+        pytest.importorskip("pyarrow", reason="needs pyarrow: pip install ./client '.[parquet]'")
     return tmp_path / f"results{request.param}"
 
 

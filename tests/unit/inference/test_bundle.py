@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.doa.presets import preset
-from service.errors import (
+from neuralmusic.errors import (
     BundleCorrupt,
     BundleIncompatible,
     BundleNotFound,
@@ -19,6 +18,7 @@ from service.errors import (
     SelfTestFailed,
     UnknownModel,
 )
+from service.doa.presets import preset
 from service.inference.bundle import FILES, Bundle, file_sha256, load_bundle
 from service.inference.engine import Engine
 from service.inference.registry import (

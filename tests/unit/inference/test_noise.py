@@ -15,13 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.doa.array import MicrophoneArray
-from service.doa.presets import preset
-from service.doa.scoring import circular_error
-from service.doa.stft import Stft
-from service.doa.types import FloatArray
-from service.doa.whitening import NoiseCovariance, learn_noise
-from service.errors import (
+from neuralmusic.errors import (
     ConfigError,
     InvalidOption,
     NoiseMismatch,
@@ -29,12 +23,18 @@ from service.errors import (
     NoiseStoreFull,
     UnknownNoise,
 )
+from neuralmusic.protocol.methods import METHODS
+from service.doa.array import MicrophoneArray
+from service.doa.presets import preset
+from service.doa.scoring import circular_error
+from service.doa.stft import Stft
+from service.doa.types import FloatArray
+from service.doa.whitening import NoiseCovariance, learn_noise
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, localizer_of
 from service.inference.noise_profile import MAX_BYTES, load_noise, noise_bytes
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
-from service.protocol.methods import METHODS
 
 SQUARE = preset("respeaker-usb-4mic-v2")
 MOTOR = np.deg2rad(200.0)

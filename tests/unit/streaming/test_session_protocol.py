@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from neuralmusic.protocol.close_codes import CloseCode
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
-from service.protocol.close_codes import CloseCode
 from service.streaming.pipeline import StreamPipeline
 from service.streaming.reporter import SessionLimits
 
