@@ -1,7 +1,7 @@
 """What a WAV header promises, read without any library.
 
-libsndfile shortens a recording silently where a WAV header promises more than the file holds, and
-knows no limit on what a header may claim; a service has to notice both.
+libsndfile silently shortens a recording whose WAV header promises more than the file holds, and
+sets no limit on what a header may claim; a service has to notice both.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from typing import BinaryIO
 from neuralmusic.protocol.framing import Encoding
 
 MAX_CHUNKS = 256
-"""Chunks that are walked before the audio; more is an attack"""
+"""Most chunks read before the audio; more are an attack"""
 
 PIPE_SIZES = range(0x7FFF_0000, 0x8000_0001)
-"""Lengths that arecord and sox write into a pipe, where the true one is not known yet.
+"""Lengths that arecord and sox write into a pipe, where they do not know the true one yet.
 
 ffmpeg's 0xFFFFFFFF is left out on purpose: a damaged header looks the same.
 """
 
 IN_DS64 = 0xFFFF_FFFF
-"""Length in an RF64 file whose true one is in the ds64 chunk"""
+"""Length in an RF64 file that stands for the true one in the ds64 chunk"""
 
 EXTENSIBLE = 0xFFFE
 """Format whose true one is the beginning of a GUID"""
@@ -40,7 +40,7 @@ _BYTE_ORDER = {b"RIFF": "<", b"RF64": "<", b"RIFX": ">"}
 
 @dataclass(frozen=True)
 class WavHeader:
-    """The claims of a WAV header beside what the file holds."""
+    """What a WAV header claims and what the file holds."""
 
     channels: int
     sample_rate: int
@@ -52,11 +52,11 @@ class WavHeader:
     start: int
     """Bytes from the start of the file to its audio"""
     promised: int
-    """Bytes of audio by the header"""
+    """Bytes of audio that the header promises"""
     held: int
-    """Bytes from the start of the audio to the end of the file"""
+    """Bytes of audio in the file, from the start of the audio to the end"""
     open_ended: bool
-    """True where a recorder wrote into a pipe, so the audio lasts to the end of the file"""
+    """True where a recorder wrote into a pipe: the audio lasts to the end of the file"""
 
     @property
     def truncated(self) -> bool:
@@ -66,7 +66,7 @@ class WavHeader:
 
 
 def read_wav_header(file: BinaryIO) -> WavHeader | None:
-    """The header of a WAV file, or None where the file is none or ends before its audio."""
+    """The header of a WAV file; None for another format or a file that ends before its audio."""
     file.seek(0, SEEK_END)
     end = file.tell()
     file.seek(0)

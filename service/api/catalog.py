@@ -40,7 +40,7 @@ async def models(request: Request) -> ModelsAnswer:
     responses=NOT_FOUND | problem_responses(NotReady),
 )
 async def model(request: Request, name: str) -> ModelCardAnswer:
-    """One loaded model bundle, with its card: what it is for, made of and unfit for."""
+    """One loaded model bundle with its card: intended use, training data, limits."""
     registry = state_of(request).models()
     try:
         bundle = registry.get(name)

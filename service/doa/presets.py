@@ -20,14 +20,14 @@ PRESETS: Mapping[str, MicrophoneArray] = MappingProxyType(
 
 
 def preset(name: str) -> MicrophoneArray:
-    """The preset of this name, or UnknownArray with the names there are."""
+    """The preset of this name, or UnknownArray with the known names."""
     return PRESETS[arrays.preset(name).name]
 
 
 def raw_channels(array: MicrophoneArray, channels: int) -> tuple[int, ...] | None:
-    """The raw microphones among so many channels of a preset's firmware; None where unknown.
+    """The raw microphones among the channels of a preset's firmware; None where unknown.
 
-    An array under a preset's name with as many microphones is that device, calibrated or turned.
+    An array with a preset's name and number of microphones is that device, calibrated or turned.
     """
     device = PRESETS.get(array.name)
     if device is None or device.num_microphones != array.num_microphones:

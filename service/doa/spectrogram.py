@@ -1,9 +1,9 @@
 """Magnitude and phase of a multichannel spectrogram, the regression network's input.
 
 Unlike ``features``, these are bound to one array: channel n is always microphone n. Nothing is
-resized: a frame of the features is a frame of the STFT. Resampling a spectrogram like an image, as
-is sometimes done to fit a network's input, averages wrapped phases and destroys the delays between
-microphones that localization lives on.
+resized: a frame of the features is a frame of the STFT. Resizing a spectrogram like an image to fit
+a network's input averages wrapped phases and destroys the delays between microphones that
+localization needs.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from service.doa.features import LEVEL_FLOOR, LEVEL_SCALE
 from service.doa.types import ComplexArray, FloatArray
 
 PhaseReference = Literal["absolute", "first"]
-"""Whether a phase is every microphone's own or relative to microphone 0's"""
+"""Reference of phases: none, or microphone 0"""
 
 
 LOUDEST = 3.0
@@ -34,9 +34,8 @@ def spectrogram_features(
     reference : str
         ``"first"`` turns every cell's channel vector until microphone 0 has phase zero and scales
         it to unit norm: its N real parts, the imaginary parts of microphones 1 to N - 1 and, in
-        the place of the imaginary part that has become zero, the cell's log level. It holds the
-        same numbers but for the phase common to all microphones, which says nothing of directions,
-        and it has no jump at pi.
+        place of the imaginary part that is zero, the cell's log level. Only the phase common to
+        all microphones is lost, which tells nothing about directions, and there is no jump at pi.
 
         ``"absolute"`` is the paper's text: first the N magnitudes, then the N wrapped phases
         divided by pi. A magnitude is a log power relative to the window's mean power over all

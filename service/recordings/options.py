@@ -1,6 +1,6 @@
 """The options of ``POST /localize``: one table reads them and documents them.
 
-They arrive as text, as query parameters or form fields, and leave as ``LocalizeOptions``.
+Options arrive as text, in the query or in form fields, and become ``LocalizeOptions``.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from service.recordings.results import (
 
 @dataclass(frozen=True, slots=True)
 class LocalizeRequest:
-    """Everything that a request asks for beside its recording."""
+    """What a request asks for, beside its recording."""
 
     options: LocalizeOptions
     noise: str | None = None
@@ -49,7 +49,7 @@ class Option:
     """How one option is read and documented."""
 
     read: Callable[[str], Any]
-    """Raises ValueError with the rest of a sentence that begins with the option's name"""
+    """Reads the text; a ValueError completes a sentence that begins with the option's name"""
     schema: Mapping[str, Any]
     description: str
     example: str | None = None
@@ -62,7 +62,7 @@ def number(low: float, high: float, default: float, description: str) -> Option:
 
 
 def integer(low: int, high: int, default: int | None, description: str) -> Option:
-    """A whole number of at least ``low``; what lies above ``high`` is for the caller to judge."""
+    """A whole number of at least ``low``; the caller checks ``high``."""
     bounds = {"type": "integer", "minimum": low, "maximum": high}
     if default is not None:
         bounds["default"] = default
@@ -81,27 +81,27 @@ OPTIONS: Mapping[str, Option] = {
         read_channel_map,
         {"type": "string"},
         "The recording's channel of every microphone, from 0, as `1,2,3,4` or a JSON list. "
-        "Without it a recording with one channel per microphone is taken as it is, one with the "
-        "channels of the preset's firmware (`raw_channels` of `GET /arrays`) by its layout, with "
-        "the warning `channel_map_assumed`.",
+        "Without it a recording with one channel per microphone is taken as it is. One with the "
+        "channels of the preset's firmware is mapped by `raw_channels` of `GET /arrays`, with the "
+        "warning `channel_map_assumed`.",
         example="1,2,3,4",
     ),
     "model": Option(
         str,
         {"type": "string"},
-        "A model's name (`GET /models` lists them). Without it the first that fits the array.",
+        "A model's name (`GET /models` lists them). The default is the first that fits the array.",
     ),
     "method": Option(
         str,
         {"type": "string", "enum": list(METHODS)},
-        "Without it `neural` where a model fits the array, else `norm_music`.",
+        "The default is `neural` where a model fits the array, else `norm_music`.",
     ),
     "num_sources": integer(
         1,
         MAX_SOURCES,
         None,
         "The known number of sources, those in excluded sectors included, below the number of "
-        "microphones. It wins over `max_sources`; without it the number is estimated for every "
+        "microphones. It overrides `max_sources`; without it the number is estimated for every "
         "window.",
     ),
     "max_sources": integer(
@@ -113,7 +113,7 @@ OPTIONS: Mapping[str, Option] = {
         -360,
         360,
         0.0,
-        "Degrees that the array is turned on the robot, counter-clockwise: added to every azimuth.",
+        "Degrees by which the array is turned on the robot, counter-clockwise; azimuths add it.",
     ),
     "exclude_deg": Option(
         read_sectors,
@@ -125,13 +125,13 @@ OPTIONS: Mapping[str, Option] = {
     "noise": Option(
         str,
         {"type": "string"},
-        "Name of a profile of the robot's own noise, which is taken away (`GET /noise` lists them, "
+        "Name of a profile of the robot's own noise, to be removed (`GET /noise` lists them, "
         "`PUT /noise/{name}` stores one).",
     ),
     "spectrum": Option(
         read_flag,
         {"type": "boolean", "default": False},
-        "Whether every window has its spatial spectrum, 360 values, in the answer.",
+        "Whether every window in the answer has its spatial spectrum, 360 values.",
     ),
 }
 
@@ -142,9 +142,9 @@ def read_options(pairs: Iterable[tuple[str, str]]) -> LocalizeRequest:
     Raises
     ------
     InvalidOption
-        If one is unknown, given twice, unreadable or out of range.
+        If an option is unknown, given twice, unreadable or out of range.
     ArrayError, UnknownMethod, TooManySources
-        If one is readable but names nothing that there is.
+        If an option is readable but names nothing known.
     """
     values: dict[str, Any] = {}
     for name, text in pairs:
@@ -177,7 +177,7 @@ def read_option(name: str, text: str) -> Any:
 
 
 def _check(values: dict[str, Any]) -> None:
-    """Bounds that depend on other options, or that have an error of their own."""
+    """Check bounds that depend on other options or have an error of their own."""
     array: MicrophoneArray = values["array"]
     if "channel_map" in values:
         validate_channel_map(values["channel_map"], array.num_microphones)

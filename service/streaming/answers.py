@@ -1,4 +1,4 @@
-"""From an estimate to what is sent: the product's own result, or ODAS' objects."""
+"""Estimates as messages: the protocol's own result, or ODAS' objects."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def result_fields(
     *,
     spectrum: bool,
 ) -> dict[str, Any]:
-    """Fields of ``Result`` but for ``seq``, ``lag_ms`` and ``final``."""
+    """Fields of ``Result`` except ``seq``, ``lag_ms`` and ``final``."""
     fields: dict[str, Any] = {
         "t_start": round(estimate.t_start, 6),
         "t_end": round(estimate.t_end, 6),
@@ -54,7 +54,7 @@ def stream_source(track: Track, orientation: Orientation) -> StreamSource:
 
 
 def odas_time_stamp(estimate: Estimate) -> int:
-    """ODAS' count of hops."""
+    """The time stamp of an estimate as ODAS counts it, in hops."""
     return round(estimate.t_end / ODAS_HOP_S)
 
 

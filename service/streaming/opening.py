@@ -31,7 +31,7 @@ def open_stream(work: Open, registry: BundleRegistry) -> tuple[StreamPipeline, S
     Raises
     ------
     ArrayError, AudioError, OptionError
-        If the start's parts do not fit each other or what is loaded.
+        If the parts of ``start`` do not fit each other or the loaded models.
     """
     start = work.start
     array = given_array(start.array.name, start.array.positions_m)
@@ -60,7 +60,7 @@ def open_stream(work: Open, registry: BundleRegistry) -> tuple[StreamPipeline, S
 def opened(
     plan: StreamPlan, pipeline: StreamPipeline, warnings: tuple[AudioWarning, ...]
 ) -> StreamOpened:
-    """What the session tells its client of a pipeline."""
+    """What the session tells its client about a pipeline."""
     model = None
     if plan.bundle is not None:
         identity = plan.bundle.identity

@@ -78,7 +78,7 @@ def test_a_wrong_variable_is_refused_with_a_sentence(
     ("flags", "sentence"),
     [
         ({"port": -1}, "port must be at least 0, but is -1 (flag or NEURALMUSIC_PORT)"),
-        ({"traces": "collector:4317"}, "traces must be an address as http://collector:4318"),
+        ({"traces": "collector:4317"}, "traces must be an address such as http://collector:4318"),
         ({"prot": 1}, "unknown flag --prot: did you mean --port?"),
         ({"port": -1, "queue": -1}, "; queue must be at least 0"),
     ],

@@ -1,4 +1,4 @@
-"""The part of the OpenAPI document that types cannot say: bodies, options, examples, errors."""
+"""What types cannot tell the OpenAPI document: bodies, options, examples, errors."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ _BINARY = {"schema": {"type": "string", "format": "binary"}}
 def localize_operation() -> dict[str, Any]:
     """Parameters and request bodies of ``POST /localize``."""
     parameters = [
-        # None is required: it may be a form field instead.
+        # No parameter is required: each may be a form field instead.
         {"name": name, "in": "query", "required": False, **_described(option)}
         for name, option in OPTIONS.items()
     ]

@@ -136,13 +136,13 @@ def test_a_table_of_somebody_else_is_left_alone(tmp_path: Path, plan: Plan) -> N
 
     path = tmp_path / "table.parquet"
     parquet.write_table(pyarrow.table({"path": ["a.wav"]}), path)
-    with pytest.raises(InvalidOption, match="is no result of neuralmusic batch"):
+    with pytest.raises(InvalidOption, match="is not a result of neuralmusic batch"):
         ParquetResult(path, plan)
 
 
 def test_two_runs_do_not_write_one_result(out: Path, plan: Plan) -> None:
     kind = KINDS[out.suffix]
-    with closing(kind(out, plan)), pytest.raises(InvalidOption, match="another run writes"):
+    with closing(kind(out, plan)), pytest.raises(InvalidOption, match="another run is writing"):
         kind(out, plan)
     kind(out, plan).close()
 

@@ -101,7 +101,7 @@ def test_a_graph_that_is_no_onnx(folder: Path) -> None:
     (folder / "covariance.onnx").write_bytes(b"not a graph")
     digest = file_sha256(folder / "covariance.onnx")
     edit(folder, lambda fields: fields["files"].update({"covariance.onnx": digest}))
-    with pytest.raises(BundleCorrupt, match="no ONNX graph"):
+    with pytest.raises(BundleCorrupt, match="not an ONNX graph"):
         load_bundle(folder)
 
 
