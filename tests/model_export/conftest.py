@@ -1,4 +1,4 @@
-"""A corpus of synthetic voices for everything that reads one."""
+"""A corpus of synthetic voices, and a run and a bundle that were trained on it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def paper_run(corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A few steps of both of the paper's stages by the command line, in ``sscl`` and ``paper``."""
+    """A few steps of both of the paper's stages, in the folders ``sscl`` and ``paper``."""
     folder = tmp_path_factory.mktemp("runs")
     command = ["train", "--smoke", "--speech-commands", str(corpus)]
     with pytest.MonkeyPatch.context() as patch:
@@ -53,7 +53,7 @@ def paper_run(corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def paper_bundle(paper_run: Path, corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The supervised stage's run as a bundle of the name ``tiny``."""
+    """The supervised stage's run as a bundle named ``tiny``."""
     out = tmp_path_factory.mktemp("bundles") / "tiny"
     command = ["export", "--run", str(paper_run / "paper"), "--out", str(out), "--name", "tiny"]
     assert main([*command, "--rooms", "unused", "--speech-commands", str(corpus)]) == 0
