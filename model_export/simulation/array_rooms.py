@@ -1,4 +1,4 @@
-"""Rooms around one given array, simulated as they are needed."""
+"""Rooms around one given array, simulated on demand."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from model_export.simulation.room_bank import RoomChunk
 from service.doa.array import MicrophoneArray
 
 RESPONSE_SAMPLES = 4096
-"""0.26 s; the reflections of order 4 in a room of 10 m have passed by then"""
+"""Kept length of a response, 0.26 s: longer than reflections of order 4 take in a 10 m room"""
 HIGHEST_ORDER = 12
-"""Of rooms with an RT60: about 0.1 s of reflections, nine tenths of their energy at 0.6 s, for a
-twentieth of the time that all of them take"""
+"""Cap on the image order of rooms with an RT60: about 0.1 s of reflections. At an RT60 of 0.6 s
+they hold nine tenths of the energy and take a twentieth of the computing time."""
 PAPER_SHARE = 0.25
-"""Rooms of the paper's kind beyond those that ``rooms.random_room`` draws, a quarter of its own"""
+"""Share of the paper's room, besides its quarter among ``rooms.random_room``"""
 DIFFUSE_FIELDS = 4
 
 
@@ -27,15 +27,15 @@ class ArrayRooms:
     array: MicrophoneArray
 
     def chunk(self, rng: np.random.Generator) -> RoomChunk:
-        """New rooms, different at every call."""
+        """Simulate new rooms, different at every call."""
         return simulate_array_chunk(int(rng.integers(2**63)), self.array)
 
 
 def simulate_array_chunk(seed: int, array: MicrophoneArray) -> RoomChunk:
-    """Rooms of every kind with the same array.
+    """Simulate rooms of every kind with the same array.
 
     Of 100, 44 are the paper's 7 x 7 x 3 m room with rigid walls and order 0 to 4, 17 others with
-    rigid walls and 39 have an RT60. They take half a second, so that they need not be kept on disk.
+    rigid walls and 39 have an RT60. A chunk takes half a second, so none is kept on disk.
     """
     rng = np.random.default_rng(seed)
     simulated = []
@@ -44,7 +44,7 @@ def simulate_array_chunk(seed: int, array: MicrophoneArray) -> RoomChunk:
         room = rooms.paper_room(int(rng.integers(5))) if paper else rooms.random_room(rng)
         _, one = rooms.simulate_room(rng, room, array.positions, RESPONSE_SAMPLES, HIGHEST_ORDER)
         simulated.append(one)
-    # The slowest part by far; scenes shift the noise in time, so that few fields go a long way.
+    # By far the slowest part; scenes shift the noise in time, so a few fields suffice.
     fields = [rooms.diffuse_field(rng, array.positions) for _ in range(DIFFUSE_FIELDS)]
     diffuse = [fields[index % DIFFUSE_FIELDS] for index in range(rooms.CHUNK_ROOMS)]
     return rooms.chunk_of(simulated, diffuse)
