@@ -1,4 +1,4 @@
-"""``export``: from a run to a bundle that serves."""
+"""``export``: turn a run into a bundle that the service loads."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def add(commands: Any) -> None:
     export.add_argument("--version", default="0.1.0")
     export.add_argument("--counting-scenes", type=int, default=16000)
     export.add_argument(
-        "--source-count", type=Path, metavar="BUNDLE", help="take this bundle's, train none"
+        "--source-count", type=Path, metavar="BUNDLE", help="reuse this bundle's source count"
     )
     add_rooms(export, required=True)
     add_corpora(export, required=True)
