@@ -12,7 +12,7 @@ def conv_block(inputs: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(
         nn.Conv2d(inputs, outputs, 3, padding=1),
         nn.BatchNorm2d(outputs),
-        # A maximum and a ReLU commute; in this order the ReLU meets a quarter of the cells.
+        # A maximum and a ReLU commute; in this order the ReLU works on a quarter of the cells.
         nn.MaxPool2d(2),
         nn.ReLU(),
     )
@@ -21,9 +21,9 @@ def conv_block(inputs: int, outputs: int) -> nn.Sequential:
 class Encoder(nn.Sequential):
     """Features to latent covariance features, one channel of the last block per frequency bin.
 
-    The last block's channel f stands for bin f: the frequency axis of the input is pooled sixteen
-    times, and only training pairs the channels with the bins' steering vectors. It is a module of
-    its own so that pretrained weights can be loaded into it.
+    The last block's channel f stands for bin f: pooling divides the input's frequency axis by
+    sixteen, and only training pairs the channels with the bins' steering vectors. The encoder is a
+    module of its own so that pretrained weights can be loaded into it.
     """
 
     def __init__(self, num_microphones: int) -> None:

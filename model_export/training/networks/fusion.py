@@ -1,4 +1,4 @@
-"""Frequency attention fusion (FAF): one spectrum per bin to the broadband spectrum."""
+"""Frequency attention fusion (FAF): from one spectrum per bin to the broadband spectrum."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from model_export.training.networks import NUM_BINS
 class FrequencyAttentionFusion(nn.Module):
     """FAF: P(theta) = sum_f alpha_f P(f, theta) / sum_f alpha_f.
 
-    alpha = sigmoid(W2 ReLU(W1 GAP(P))), GAP being the mean over the angles. The paper's sum is not
-    divided; divided, the fused spectrum is a convex combination and stays within [0, 1], which its
-    target does too. No weight belongs to an angle, so a rotated spectrum fuses to a rotated one.
+    alpha = sigmoid(W2 ReLU(W1 GAP(P))), where GAP is the mean over the angles. The paper does not
+    divide the sum; divided, the fused spectrum is a convex combination and stays within [0, 1], as
+    its target does. No weight belongs to an angle, so a rotated spectrum fuses to a rotated one.
     """
 
     def __init__(self, num_bins: int = NUM_BINS, bottleneck: int = 16) -> None:
@@ -22,7 +22,7 @@ class FrequencyAttentionFusion(nn.Module):
         self.excite = nn.Linear(bottleneck, num_bins, bias=False)
 
     def attention(self, spectrum: Tensor) -> Tensor:
-        """Weights (B, F) in (0, 1) of the spectra (B, F, A)."""
+        """Weights (B, F) in (0, 1) for spectra (B, F, A)."""
         pooled = spectrum.mean(-1)  # (B, F)
         hidden = torch.relu(self.squeeze(pooled))  # (B, 16)
         return torch.sigmoid(self.excite(hidden))  # (B, F)

@@ -39,7 +39,7 @@ CONFIG = replace(PAPER, grid_size=72)
 
 
 def plane_waves(rng: np.random.Generator, *azimuths_deg: float) -> Scene:
-    """Anechoic noise bursts from these azimuths, and sensor noise 30 dB below."""
+    """Anechoic noise bursts from these azimuths, with sensor noise 30 dB below."""
     azimuth = np.deg2rad(np.array(azimuths_deg, dtype=float))
     frequencies = np.fft.rfftfreq(WINDOW_SAMPLES, 1 / STFT.sample_rate)
     steering = steering_vectors(ARRAY.positions, frequencies, azimuth)  # (F, N, M)
@@ -134,7 +134,7 @@ def test_projectors_of_mixed_counts_are_those_of_each_scene_alone() -> None:
     covariance = root @ root.mH
     counts = torch.tensor([2, 0, 1, 4, 3, 1])
     projectors = counted_projector(covariance, counts)
-    for scene, count in enumerate([2, 1, 1, 3, 3, 1]):  # 0 and 4 of 4 have no two subspaces
+    for scene, count in enumerate([2, 1, 1, 3, 3, 1]):  # 0 and 4 of 4 leave one subspace
         torch.testing.assert_close(projectors[scene], signal_projector(covariance[scene], count))
 
 
@@ -248,5 +248,5 @@ def test_the_pipeline_learns_four_scenes() -> None:
 
 
 def _row(value: Tensor, scene: int) -> Tensor:
-    """One scene of a batch's tensor; what the scenes share is left whole."""
+    """One scene of a batch's tensor; a tensor that scenes share is returned whole."""
     return value[scene : scene + 1] if value.ndim > 0 and len(value) == 4 else value
