@@ -44,7 +44,10 @@ def add(commands: Any) -> None:
 def add_split(parser: argparse.ArgumentParser) -> None:
     """Add the flag that chooses the speakers."""
     parser.add_argument(
-        "--split", choices=("heldout", "development"), default="heldout", help="speakers"
+        "--split",
+        choices=("heldout", "development"),
+        default="heldout",
+        help="speakers (default heldout)",
     )
 
 

@@ -88,7 +88,9 @@ def add(commands: Any) -> None:
 
 
 def _add_where(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--scale", choices=sorted(SCALES), default="small")
+    parser.add_argument(
+        "--scale", choices=sorted(SCALES), default="small", help="size (default small)"
+    )
     parser.add_argument(
         "--runs",
         type=Path,

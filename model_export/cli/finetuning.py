@@ -24,10 +24,13 @@ def add(commands: Any) -> None:
     tune.add_argument("--test", type=Path, help="folder of further recordings, for scores only")
     tune.add_argument("--out", type=Path, required=True, help="folder of the new bundle")
     tune.add_argument("--name", help="the new bundle's name (default: OLD-finetuned)")
-    tune.add_argument("--steps", type=int, default=100)
+    tune.add_argument("--steps", type=int, default=100, help="optimizer steps (default 100)")
     tune.add_argument("--learning-rate", type=float, help="learning rate of the network")
     tune.add_argument(
-        "--validation-share", type=float, default=0.2, help="share of directions that validate"
+        "--validation-share",
+        type=float,
+        default=0.2,
+        help="share of directions that validate (default 0.2)",
     )
     tune.add_argument("--seed", type=int, default=1)
     tune.add_argument(
@@ -40,7 +43,7 @@ def add(commands: Any) -> None:
     own = commands.add_parser("own-room", help="simulate recordings to try fine-tuning on")
     own.add_argument("--out", type=Path, required=True, help="folder of recordings/ and test/")
     own.add_argument("--array", choices=sorted(PRESETS), default="respeaker-usb-4mic-v2")
-    own.add_argument("--directions", type=int, default=36)
+    own.add_argument("--directions", type=int, default=36, help="directions (default 36)")
     own.add_argument("--seed", type=int, default=1)
     add_speech_commands(own)
     own.set_defaults(run_command=_own_room)

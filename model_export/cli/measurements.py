@@ -14,7 +14,7 @@ def add(commands: Any) -> None:
     """Add the four commands."""
     ego = commands.add_parser("ego-noise", help="gain of a noise profile: docs/ego-noise.md")
     add_speech_commands(ego)
-    ego.add_argument("--scenes", type=int, default=60)
+    ego.add_argument("--scenes", type=int, default=60, help="talkers (default 60)")
     ego.add_argument("--snr-db", type=float, default=0.0, help="talker over the noise")
     ego.add_argument("--alone", type=float, default=60.0, help="seconds of the noise alone")
     ego.add_argument("--seed", type=int, default=7)
@@ -23,7 +23,9 @@ def add(commands: Any) -> None:
     mistakes = commands.add_parser("mistakes", help="mistakes that are named: docs/diagnostics.md")
     add_librispeech(mistakes)
     mistakes.add_argument("--recordings", type=Path, help="correct real recordings of the array")
-    mistakes.add_argument("--seconds", type=float, nargs="+", default=[10.0, 30.0])
+    mistakes.add_argument(
+        "--seconds", type=float, nargs="+", default=[10.0, 30.0], help="lengths (default 10 30)"
+    )
     mistakes.add_argument("--seed", type=int, default=3)
     _add_page(mistakes, "docs/diagnostics.md", _mistakes)
 
@@ -39,7 +41,7 @@ def add(commands: Any) -> None:
         "classical-confidence", help="fit and print the confidences of classical peaks"
     )
     add_speech_commands(confidence)
-    confidence.add_argument("--windows", type=int, default=1800)
+    confidence.add_argument("--windows", type=int, default=1800, help="windows (default 1800)")
     confidence.add_argument("--seed", type=int, default=11)
     confidence.set_defaults(run_command=_classical_confidence)
 
