@@ -19,7 +19,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--threads", type=int, default=1, help="torch threads (default 1)")
     cli.add_commands(parser.add_subparsers(required=True, metavar="COMMAND"))
     arguments = parser.parse_args(argv)
-    import torch  # takes seconds, which --help does without
+    import torch  # importing it takes seconds, and --help does not need it
 
     torch.set_num_threads(arguments.threads)
     try:

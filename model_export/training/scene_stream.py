@@ -1,4 +1,4 @@
-"""Where training scenes come from, and the endless stream of batches that is made of them."""
+"""Sources of training scenes, and the endless stream of batches made from them."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ PROTOCOL_SEED = 24
 
 
 class RoomSource(Protocol):
-    """Chunks of simulated rooms: a bank on disk or rooms made for one array."""
+    """A source of chunks of simulated rooms: a bank on disk, or rooms made for one array."""
 
     def chunk(self, rng: np.random.Generator) -> RoomChunk: ...
 
 
 class SceneSource(Protocol):
-    """An endless supply of scenes that the generator alone decides."""
+    """An endless supply of scenes that depend only on the generator."""
 
     def scenes(self, rng: np.random.Generator, config: TrainingConfig) -> Iterator[Scene]: ...
 
@@ -87,7 +87,7 @@ class ProtocolScenes:
 
 
 class SceneStream(IterableDataset[Batch]):
-    """An endless stream of batches; the seed, the first step and the worker decide every one."""
+    """An endless stream of batches that depends only on seed, first step and worker."""
 
     def __init__(self, config: TrainingConfig, source: SceneSource, *, first_step: int = 0) -> None:
         self.config, self.source, self.first_step = config, source, first_step

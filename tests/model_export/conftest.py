@@ -1,4 +1,4 @@
-"""A corpus of synthetic voices for everything that reads one."""
+"""A corpus of synthetic voices, and a run and a bundle that were trained on it."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def paper_run(corpus: Path, singles: Path, tmp_path_factory: pytest.TempPathFact
 
 @pytest.fixture(scope="session")
 def paper_bundle(paper_run: Path, corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The supervised stage's run as a bundle of the name ``tiny``."""
+    """The supervised stage's run as a bundle named ``tiny``."""
     out = tmp_path_factory.mktemp("bundles") / "tiny"
     command = ["export", "--run", str(paper_run / "paper"), "--out", str(out), "--name", "tiny"]
     assert main([*command, "--speech-commands", str(corpus)]) == 0

@@ -34,9 +34,9 @@ class ConvBlock(nn.Sequential):
 class Encoder(nn.Sequential):
     """Features to latent covariance features, one channel of the last block per frequency bin.
 
-    The last block's channel f stands for bin f: the frequency axis of the input is pooled sixteen
-    times, and only training pairs the channels with the bins' steering vectors. It is a module of
-    its own so that pretrained weights can be loaded into it.
+    The last block's channel f stands for bin f: pooling divides the input's frequency axis by
+    sixteen, and only training pairs the channels with the bins' steering vectors. The encoder is a
+    module of its own so that pretrained weights can be loaded into it.
     """
 
     def __init__(self, num_microphones: int) -> None:

@@ -1,4 +1,4 @@
-"""Frequency attention fusion (FAF): one spectrum per bin to the broadband spectrum."""
+"""Frequency attention fusion (FAF): from one spectrum per bin to the broadband spectrum."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from model_export.training.networks import NUM_BINS
 class FrequencyAttentionFusion(nn.Module):
     """FAF: P(theta) = sum_f alpha_f P(f, theta) / sum_f alpha_f.
 
-    alpha = sigmoid(W2 ReLU(W1 GAP(P))), GAP being the mean over the angles. The paper's sum is not
-    divided; divided, the fused spectrum is a convex combination and stays within [0, 1], which its
-    target does too. No weight belongs to an angle, so a rotated spectrum fuses to a rotated one.
+    alpha = sigmoid(W2 ReLU(W1 GAP(P))), where GAP is the mean over the angles. The paper does not
+    divide the sum; divided, the fused spectrum is a convex combination and stays within [0, 1], as
+    its target does. No weight belongs to an angle, so a rotated spectrum fuses to a rotated one.
     """
 
     def __init__(self, num_bins: int = NUM_BINS, bottleneck: int = 16) -> None:

@@ -10,7 +10,7 @@ from service.inference.results import MAX_SOURCES
 
 
 class SourceCountNetwork(nn.Module):
-    """The parallel branch: features (B, 2N, 257, 64) to logits of 0 to M_max sources (B, 5)."""
+    """The parallel branch: maps features (B, 2N, 257, 64) to logits (B, 5) of 0 to 4 sources."""
 
     def __init__(self, num_microphones: int, max_sources: int = MAX_SOURCES) -> None:
         super().__init__()

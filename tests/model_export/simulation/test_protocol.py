@@ -65,7 +65,7 @@ def test_every_source_has_unit_power_and_the_noise_has_its_level(voices) -> None
     quiet = simulate_scene(SceneProtocol(num_sources=2, snr_db=200.0), voices, [1, 2])
     noisy = simulate_scene(SceneProtocol(num_sources=2, snr_db=10.0), voices, [1, 2])
     np.testing.assert_allclose(quiet.azimuth, noisy.azimuth)
-    # The whole utterance with its tail has unit power; the window may cut the tail off.
+    # The whole utterance with its tail has unit power; the window may cut off the tail.
     assert np.var(quiet.audio[0]) == pytest.approx(2.0, rel=0.35)
     noise = noisy.audio - quiet.audio
     assert np.var(noise) == pytest.approx(2 * 10 ** (-10 / 10), rel=0.05)
@@ -202,7 +202,7 @@ PLACES = np.deg2rad([20.0, 120.0, 250.0, 255.0])
 
 @pytest.fixture(scope="module")
 def chunk() -> RoomChunk:
-    """One room with four places for sources."""
+    """One room with four source positions."""
     array = preset("respeaker-usb-4mic-v2")
     sources = 1.5 * unit_vectors(PLACES)
     rng = np.random.default_rng(8)

@@ -36,7 +36,7 @@ CONFIG = replace(PAPER, grid_size=72, bin_step=1)
 
 
 def plane_waves(rng: np.random.Generator, *azimuths_deg: float) -> Scene:
-    """Anechoic noise bursts from these azimuths, and sensor noise 30 dB below."""
+    """Anechoic noise bursts from these azimuths, with sensor noise 30 dB below."""
     azimuth = np.deg2rad(np.array(azimuths_deg, dtype=float))
     frequencies = np.fft.rfftfreq(WINDOW_SAMPLES, 1 / STFT.sample_rate)
     steering = steering_vectors(ARRAY.positions, frequencies, azimuth)  # (F, N, M)
@@ -132,7 +132,7 @@ def test_projectors_of_mixed_counts_are_those_of_each_scene_alone() -> None:
     covariance = root @ root.mH
     counts = torch.tensor([2, 0, 1, 4, 3, 1])
     projectors = counted_projector(covariance, counts)
-    for scene, count in enumerate([2, 1, 1, 3, 3, 1]):  # 0 and 4 of 4 have no two subspaces
+    for scene, count in enumerate([2, 1, 1, 3, 3, 1]):  # 0 and 4 of 4 leave one subspace
         torch.testing.assert_close(projectors[scene], signal_projector(covariance[scene], count))
 
 

@@ -1,4 +1,4 @@
-"""Scenes become batches: what is known of every cell, and no network where they are simulated."""
+"""Scenes become batches with the truth of every cell, and without any network."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SAMPLES = WINDOW_SAMPLES
 
 
 class Silence:
-    """Scenes of faint noise with a talker at 1 rad, of whom nothing else is known."""
+    """Scenes of faint noise with a talker at 1 rad, whose direct sound is unknown."""
 
     def scenes(self, rng: np.random.Generator, config: TrainingConfig) -> Iterator[Scene]:
         while True:

@@ -40,7 +40,7 @@ FIRST, SECOND = (
 
 
 def plane_wave(rng: np.random.Generator, azimuth_deg: float) -> Scene:
-    """An anechoic noise burst, and sensor noise 30 dB below."""
+    """An anechoic noise burst, with sensor noise 30 dB below."""
     frequencies = np.fft.rfftfreq(WINDOW_SAMPLES, 1 / STFT.sample_rate)
     steering = steering_vectors(ARRAY.positions, frequencies, np.deg2rad([azimuth_deg]))[..., 0]
     source = np.fft.rfft(rng.standard_normal(WINDOW_SAMPLES))
@@ -143,7 +143,7 @@ def test_only_loud_masked_cells_count() -> None:
     batch = collate_masked(np.random.default_rng(0), [replace(scene, audio=audio)] * 12)
     cells = batch.cells
     assert not cells[:, :, :31].any()
-    # Half the frames are loud; of them 40 to 75 % are masked, in spans a little less evenly.
+    # Half the frames are loud, and 40 to 75 % of them are masked, less evenly in spans.
     assert 0.15 < cells.float().mean() < 0.42
 
 
@@ -171,7 +171,7 @@ def test_the_task_learns_and_reaches_every_parameter() -> None:
         loss.backward()
         optimizer.step()
         losses.append(float(loss.detach()))
-    # One direction-independent combination leaves more than a third here; the truth next to none.
+    # The best direction-independent combination leaves more than a third; the truth next to none.
     assert losses[-1] < 0.3
     for name, parameter in task.model.named_parameters():
         assert parameter.grad is not None, name

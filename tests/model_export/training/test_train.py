@@ -1,4 +1,4 @@
-"""Runs: interrupted in the middle they go on where they stopped, finished they train nothing."""
+"""Runs: interrupted ones continue where they stopped, finished ones train nothing."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Interrupted(Exception):
 
 @dataclass
 class Noise:
-    """Scenes of noise that is said to come from anywhere; the supply may break off."""
+    """Scenes of noise with random directions as labels; the supply may break off."""
 
     batches: int | None = None
 
