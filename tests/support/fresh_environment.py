@@ -6,14 +6,13 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-PROBE = "import ensurepip, ssl, sys, venv; print(*sys.version_info[:2], sep='.')"
-INSTALLERS = {"pip", "setuptools", "wheel"}
-"""What an environment has by itself"""
+PROBE = "import ssl, sys, venv; print(*sys.version_info[:2], sep='.')"
 LISTED = """
 import json, sysconfig
 from importlib.metadata import distributions
@@ -35,14 +34,18 @@ class Environment:
 
     def install(self, *what: str) -> None:
         """Install from the index that pip is set to, wheels alone."""
-        flags = ("-q", "--disable-pip-version-check", "--only-binary=:all:")
-        done = subprocess.run(
-            [self.python, "-m", "pip", "install", *flags, *what],
+        done = self.pip("--only-binary=:all:", *what)
+        assert done.returncode == 0, done.stderr
+
+    def pip(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        """``pip install`` of the tests' own pip: one in every environment takes its time."""
+        flags = ("--disable-pip-version-check", "--python", str(self.python))
+        return subprocess.run(
+            [sys.executable, "-m", "pip", *flags, "install", "-q", *arguments],
             capture_output=True,
             text=True,
             check=False,
         )
-        assert done.returncode == 0, done.stderr
 
     def run(self, *words: str, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
         """A command of the environment, away from the checkout."""
@@ -57,14 +60,13 @@ class Environment:
         )
 
     def distributions(self) -> dict[str, int]:
-        """What is installed beside pip, with the bytes of its files."""
-        listed = json.loads(self.run("python", "-c", LISTED).stdout)
-        return {name: size for name, size in listed if name.lower() not in INSTALLERS}
+        """What is installed, with the bytes of its files."""
+        return dict(json.loads(self.run("python", "-c", LISTED).stdout))
 
 
 def create(python: str, folder: Path) -> Environment:
     """A fresh environment on that Python."""
-    subprocess.run([python, "-m", "venv", folder], check=True, capture_output=True)
+    subprocess.run([python, "-m", "venv", "--without-pip", folder], check=True, capture_output=True)
     return Environment(folder)
 
 
