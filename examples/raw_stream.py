@@ -17,7 +17,7 @@ import time
 import wave
 
 from websockets.asyncio.client import ClientConnection, connect
-from websockets.exceptions import ConnectionClosedError
+from websockets.exceptions import ConnectionClosedError, InvalidStatus
 
 MESSAGE_S = 0.05
 ENCODINGS = {2: "pcm_s16le", 3: "pcm_s24le", 4: "pcm_s32le"}
@@ -77,5 +77,7 @@ async def stream(path: str, array: str, url: str = "ws://127.0.0.1:8000/stream")
 if __name__ == "__main__":
     try:
         asyncio.run(stream(*sys.argv[1:]))
-    except ConnectionClosedError as closed:  # any close code but 1000
-        sys.exit(f"the session ended: {closed}")
+    except InvalidStatus as refused:  # with a problem document that says why
+        sys.exit((refused.response.body or b"").decode())
+    except (OSError, ConnectionClosedError) as error:  # any close code but 1000
+        sys.exit(f"the session ended: {error}")

@@ -85,7 +85,11 @@ class Stream {
     }));
     websocket::response_type answer;
     beast::error_code refused;
-    socket_.handshake(answer, host + ":" + port, "/stream", refused);
+    // Not handshake(), which keeps the problem document of a refusal to itself.
+    socket_.async_handshake(answer, host + ":" + port, "/stream",
+                            [&](beast::error_code error) { refused = error; });
+    io_.run();
+    io_.restart();
     if (refused) throw std::runtime_error(refused.message() + " " + answer.body());
     socket_.write(net::buffer(start.dump()));
     std::string kind;  // a ready, or an error and the end

@@ -28,8 +28,9 @@ def test_the_names_are_the_program_s() -> None:
 
 @pytest.mark.parametrize("command", [*OF_THE_SERVICE, "stream", "arrays"])
 def test_every_option_of_the_help_is_in_the_reference(
-    command: str, capsys: pytest.CaptureFixture[str]
+    command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("COLUMNS", "1000")  # no option is broken at its hyphens
     with pytest.raises(SystemExit):
         main([command, "--help"])
     helped = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out)) - {"--help"}

@@ -14,8 +14,11 @@ from statistics import median
 
 import pytest
 import soundfile
+from key_file import KeyFile
 from running_service import RunningService
 from source_tree import ROOT
+
+from service.settings import Settings
 
 pytestmark = pytest.mark.dist
 
@@ -102,6 +105,23 @@ def test_the_client_in_cpp_says_why_a_session_was_refused(
     assert done.returncode == 1
     assert "array_unknown" in done.stderr
     assert ARRAY in done.stderr
+
+
+def test_the_client_in_cpp_says_what_the_handshake_was_refused_for(
+    program: str, talk: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    keys = KeyFile(tmp_path / "keys.jsonl")
+    token = keys.add("stream")
+    guarded = RunningService(settings=Settings(workers=1, keys=keys.path))
+    command = (program, "--fast", "--port", str(guarded.port), ARRAY, str(talk))
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 1
+        assert "key_missing" in done.stderr
+        monkeypatch.setenv("NEURALMUSIC_KEY", token)
+        assert len(heard(command)) == len(TALKERS_DEG)
+    finally:
+        guarded.stop()
 
 
 def test_the_client_in_python_hears_the_talkers(talk: Path, service: RunningService) -> None:
