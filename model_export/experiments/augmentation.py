@@ -1,4 +1,4 @@
-"""What training adds to a batch of scenes: noise, symmetries of the array."""
+"""Augmentation of a batch of scenes: noise, and symmetries of the array."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from service.doa.types import FloatArray, IntArray
 
 NOISE_PROBABILITY = 0.6
 NOISE_SNR_DB = (-10.0, 30.0)
-"""Both as in the paper's code"""
+"""Range of the SNR of added noise; it and the probability are those of the paper's code"""
 SYMMETRIC = 1e-4
-"""Metres by which a microphone of a turned array may miss another's place"""
+"""Metres by which a turned microphone may miss another's position"""
 
 
 def white_noise(rng: np.random.Generator, audio: FloatArray, snr_db: float) -> FloatArray:
-    """Audio (N, T) with white noise at this ratio to its mean power over microphones and time."""
+    """Audio (N, T) with white noise; the SNR refers to the mean power over microphones and time."""
     sigma = np.sqrt(np.mean(np.square(audio)) * 10 ** (-snr_db / 10))
     noisy: FloatArray = audio + np.float32(sigma) * sensor_noise(rng, audio.shape)
     return noisy
 
 
 def sometimes_noisy(rng: np.random.Generator, audio: FloatArray) -> FloatArray:
-    """Windows (B, N, T), some with white noise of their own at a random ratio."""
+    """Windows (B, N, T), some with independent white noise at a random SNR."""
     return np.stack(
         [
             white_noise(rng, window, rng.uniform(*NOISE_SNR_DB))
@@ -35,11 +35,11 @@ def sometimes_noisy(rng: np.random.Generator, audio: FloatArray) -> FloatArray:
 
 
 def symmetries(array: MicrophoneArray) -> list[tuple[IntArray, float]]:
-    """Turns about z that bring every microphone to another's place, the identity among them.
+    """Turns about z that map every microphone to another's position, including the identity.
 
-    Audio whose channels are taken in the order ``permutation`` is what the array hears when the
-    sources are turned counter-clockwise by ``azimuth`` radians: exact data for nothing. A ring of
-    N microphones has N, an irregular array only the identity.
+    Each is a pair of a permutation (N,) and a turn in radians. Audio with its channels in this
+    order is exactly what the array hears from sources turned counter-clockwise by that angle. A
+    ring of N microphones has N symmetries, an irregular array only the identity.
     """
     plane = array.positions - array.positions.mean(axis=0)
     found: list[tuple[IntArray, float]] = []
