@@ -10,7 +10,7 @@ two directions mirror each other about the line through the first two microphone
 ``LinAlgError`` in a tenth of the windows with two talkers; ours are unitary and always exist (Hung
 and Kaveh, 1988, Focussing matrices for coherent signal-subspace processing). It also drops bins
 whose beamformer has fewer peaks than sources but keeps their covariances, so that bins and
-statistics no longer match; here only bins with enough peaks are passed to it. If there is no such
+statistics do not match; here only bins with enough peaks are passed to it. If there is no such
 bin, one direction less is sought.
 """
 

@@ -41,7 +41,7 @@ class ToldMethod(ABC, Generic[PreparedT]):
 
     @abstractmethod
     def estimate(self, audio: FloatArray, prepared: PreparedT, num_sources: int) -> Estimate:
-        """At most ``num_sources`` directions of one window (N, T) that is not silent."""
+        """Estimate at most ``num_sources`` directions of one window (N, T) that is not silent."""
 
     def localize(
         self, audio: FloatArray, array: MicrophoneArray, num_sources: int | None = None

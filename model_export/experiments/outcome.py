@@ -36,7 +36,7 @@ class Outcome:
     """One experiment's outcome."""
 
     text: str
-    """What was done, and how it differs from the paper"""
+    """The experiment, and its differences from the paper"""
     tables: Sequence[Table] = field(default_factory=tuple)
     figures: Sequence[tuple[str, str]] = field(default_factory=tuple)
     """Caption and file name"""

@@ -57,7 +57,7 @@ no other way to learn an array."""
 
 @dataclass(frozen=True, slots=True)
 class FineTuning:
-    """How a bundle is fine-tuned."""
+    """Settings of a fine-tuning."""
 
     steps: int = 100
     batch_size: int = 16

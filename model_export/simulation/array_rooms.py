@@ -13,8 +13,8 @@ from service.doa.array import MicrophoneArray
 RESPONSE_SAMPLES = 4096
 """Kept length of a response, 0.26 s: longer than reflections of order 4 take in a 10 m room"""
 HIGHEST_ORDER = 12
-"""Cap on the image order of rooms with an RT60: about 0.1 s of reflections. At an RT60 of 0.6 s
-they hold nine tenths of the energy and take a twentieth of the computing time."""
+"""Cap on the image order of rooms with an RT60: about 0.1 s of reflections, which hold nine tenths
+of the energy at an RT60 of 0.6 s and take a twentieth of the computing time"""
 PAPER_SHARE = 0.25
 """Share of the paper's room, besides its quarter among ``rooms.random_room``"""
 DIFFUSE_FIELDS = 4
