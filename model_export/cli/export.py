@@ -23,7 +23,7 @@ def add(commands: Any) -> None:
     export.add_argument(
         "--source-count", type=Path, metavar="BUNDLE", help="reuse this bundle's source count"
     )
-    add_rooms(export, required=True)
+    add_rooms(export, use=", where the source count is trained")
     add_corpora(export, required=True)
     export.set_defaults(run_command=_export)
 

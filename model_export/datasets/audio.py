@@ -9,9 +9,9 @@ import numpy as np
 
 from model_export import SAMPLE_RATE
 from model_export.datasets.fault import REMEDY, DatasetError, require
+from neuralmusic.errors import DoaError
 from service.audio.recording import Recording
 from service.doa.types import FloatArray
-from service.errors import DoaError
 
 
 def read_audio(path: Path, channels: int, take: Sequence[int] | None = None) -> FloatArray:

@@ -22,12 +22,12 @@ from model_export.evaluation.reliability import Reliability, Reports, judged, re
 from model_export.simulation.noise import unit_power
 from model_export.simulation.protocol import SceneProtocol, simulate_scene
 from model_export.simulation.scenes import WINDOW_SAMPLES
+from neuralmusic.protocol.methods import Method
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.types import BoolArray, FloatArray
 from service.inference.classical import CHANCES, ClassicalLocalizer
 from service.inference.results import MAX_SOURCES, WindowEstimate
-from service.protocol.methods import Method
 
 ARRAYS = ("respeaker-usb-4mic-v2", "respeaker-6mic-circular", "av163-circle8")
 

@@ -26,6 +26,7 @@ from model_export.evaluation.false_sources import (
 )
 from model_export.simulation.noise import unit_power
 from model_export.simulation.protocol import SceneProtocol, SimulatedScene, simulate_scene
+from neuralmusic.protocol.methods import METHODS, Method
 from service.audio.recording import Recording
 from service.doa.presets import preset
 from service.doa.scoring import circular_error
@@ -35,7 +36,6 @@ from service.doa.whitening import NoiseCovariance, learn_noise
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, localizer_of
 from service.inference.registry import BundleRegistry
-from service.protocol.methods import METHODS, Method
 from service.recordings.localize import localize_recording
 from service.recordings.results import LocalizeOptions
 

@@ -15,12 +15,12 @@ import numpy as np
 from model_export.baselines.pyroom import direction_finder
 from model_export.baselines.told import STFT
 from model_export.simulation.protocol import SimulatedScene
+from neuralmusic.protocol.methods import METHODS, Method
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 from service.inference.bundle import Bundle, load_bundle
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, localizer_of
-from service.protocol.methods import METHODS, Method
 from service.recordings.results import DEFAULT_MAX_SOURCES
 
 PEER = "pyroomacoustics NormMUSIC"

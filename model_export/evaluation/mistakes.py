@@ -21,13 +21,13 @@ from model_export.evaluation.cells import living_room
 from model_export.simulation.noise import unit_power
 from model_export.simulation.rooms import impulse_responses
 from model_export.simulation.scenes import convolve
+from neuralmusic.errors import InvalidGeometry
 from service.cli.inputs import open_recording
 from service.doa.array import SPEED_OF_SOUND, MicrophoneArray
 from service.doa.diagnostics import ChannelDiagnostics
 from service.doa.presets import preset
 from service.doa.steering import unit_vectors
 from service.doa.types import FloatArray
-from service.errors import InvalidGeometry
 from service.inference.geometry import choose_channels
 
 ARRAY = "respeaker-usb-4mic-v2"

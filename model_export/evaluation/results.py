@@ -40,6 +40,11 @@ README_CELLS = (
     "M=1, 10x8x3.5 m, RT60 0.6 s",
     "M=1, order 4, 6-mic circular",
 )
+README_PREFACE = """\
+Mean absolute angular error in degrees, {scenes} simulated scenes a row, held-out speakers, the
+number of talkers known. `any-array` is the default model, trained on none of these arrays, but in
+the paper's room (the rows with an order). `paper` is the paper's own network, bound to one array:
+"""
 PREFACE = """# Results
 
 Written by `python -m model_export evaluate` (`docs/training.md` has the whole command);
@@ -138,12 +143,8 @@ class Results:
 
     def readme_block(self) -> str:
         """The text between the README's markers."""
-        table = self.table("maae_deg", README_CELLS, ["any-array", PEER, "srp_phat"])
-        return (
-            f"Mean absolute angular error in degrees, {self.scenes} simulated scenes "
-            "a row, held-out speakers, the\nnumber of talkers known. None of these arrays was in "
-            f"the training; the paper's room, in the rows\nwith an order, was:\n\n{table}"
-        )
+        table = self.table("maae_deg", README_CELLS, ["any-array", "paper", PEER, "srp_phat"])
+        return f"{README_PREFACE.format(scenes=self.scenes)}\n{table}"
 
     def bundle_scores(self, name: str) -> dict[str, Any]:
         """One bundle's scores for its manifest."""

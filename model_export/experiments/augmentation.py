@@ -1,18 +1,15 @@
-"""Augmentation of a batch of scenes: noise, and symmetries of the array."""
+"""Augmentation of a batch of scenes: noise."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from model_export.simulation.noise import sensor_noise
-from service.doa.array import MicrophoneArray
-from service.doa.types import FloatArray, IntArray
+from service.doa.types import FloatArray
 
 NOISE_PROBABILITY = 0.6
 NOISE_SNR_DB = (-10.0, 30.0)
 """Range of the SNR of added noise; it and the probability are those of the paper's code"""
-SYMMETRIC = 1e-4
-"""Metres by which a turned microphone may miss another's position"""
 
 
 def white_noise(rng: np.random.Generator, audio: FloatArray, snr_db: float) -> FloatArray:
@@ -32,22 +29,3 @@ def sometimes_noisy(rng: np.random.Generator, audio: FloatArray) -> FloatArray:
             for window in audio
         ]
     )
-
-
-def symmetries(array: MicrophoneArray) -> list[tuple[IntArray, float]]:
-    """Turns about z that map every microphone to another's position, including the identity.
-
-    Each is a pair of a permutation (N,) and a turn in radians. Audio with its channels in this
-    order is exactly what the array hears from sources turned counter-clockwise by that angle. A
-    ring of N microphones has N symmetries, an irregular array only the identity.
-    """
-    plane = array.positions - array.positions.mean(axis=0)
-    found: list[tuple[IntArray, float]] = []
-    angles = np.arctan2(plane[:, 1], plane[:, 0])
-    for turn in np.unique(np.round((angles - angles[0]) % (2 * np.pi), 6)).tolist():
-        turned = MicrophoneArray(array.name, plane).rotated(turn).positions
-        gaps = np.linalg.norm(plane[:, None] - turned[None], axis=-1)
-        permutation = gaps.argmin(axis=1)
-        if gaps.min(axis=1).max() < SYMMETRIC and len(set(permutation.tolist())) == len(plane):
-            found.append((permutation, turn))
-    return found

@@ -18,8 +18,7 @@ from model_export.experiments.contenders import NEURALMUSIC
 from model_export.experiments.outcome import Outcome, Table
 from model_export.experiments.scene_set import SceneSet
 from model_export.experiments.study import SEED, Contender, Study
-from model_export.experiments.training import parameters
-from model_export.training.config import PAPER_SSCL
+from model_export.experiments.training import SSCL, parameters
 from model_export.training.masking import draw_mask, masked_features
 from model_export.training.sscl import SsclPipeline, SsclTask
 from model_export.training.task import STFT
@@ -52,7 +51,7 @@ def reconstructions(study: Study, figures: Path) -> Outcome:
     """Masked, reconstructed and true spectrograms of one scene, one row for each kind of mask."""
     study.train([NEURALMUSIC])
     study.simulate(["test-1"])
-    task = SsclTask(PAPER_SSCL)
+    task = SsclTask(SSCL)
     task.model.load_state_dict(parameters(study.pretraining(TRAIN)))
     task.model.eval()
     spectra = STFT.transform(study.scenes("test-1").window(0)[None])
@@ -140,7 +139,7 @@ def _latent(study: Study, scenes: SceneSet) -> dict[str, FloatArray]:
     """Latent features (S, D) of every scene, after each stage."""
     audio = np.stack([scenes.window(index) for index in range(len(scenes))])
     features = torch.from_numpy(matched_features(audio))
-    pretrained = SsclTask(PAPER_SSCL).model
+    pretrained = SsclTask(SSCL).model
     pretrained.load_state_dict(parameters(study.pretraining(TRAIN)))
     method = study.method(Contender("neuralmusic", NEURALMUSIC))
     assert isinstance(method, LearnedMethod)

@@ -14,9 +14,10 @@ import torch
 from torch import nn
 
 from model_export.baselines.network import BaselineNetwork, Truth
-from model_export.experiments.augmentation import sometimes_noisy, symmetries
+from model_export.experiments.augmentation import sometimes_noisy
 from model_export.experiments.scene_set import SceneSet
 from model_export.simulation.scenes import Scene
+from model_export.simulation.symmetry import Symmetry, symmetries
 from model_export.training.config import PAPER_SSCL
 from model_export.training.fitting import Fitting, checkpoint
 from model_export.training.sscl import SsclTask, collate_masked
@@ -25,6 +26,8 @@ from service.doa.types import FloatArray
 Track = Literal["cited", "matched"]
 """Track: as published with its own features, or with our input, targets and count branch"""
 
+SSCL = replace(PAPER_SSCL, smooth_kernels=0, pool_first=False, level_exponent=0.0)
+"""The self-supervised stage on the features and the plain parameters of the matched track"""
 TUNING_RATE = 0.3
 """Factor of the learning rate in fine-tuning, which is to keep the first training's result"""
 CHECKPOINT_STEPS = 50
@@ -89,14 +92,14 @@ def fit(
     steps = budget.epochs * per_epoch
     network.to(device)
     fitting = _Curve(network, network.learning_rate * budget.rate, steps, run)
-    turns = symmetries(scenes.array)
+    views = symmetries(scenes.array)
     network.train()
     while fitting.step < steps:
         epoch, place = divmod(fitting.step, per_epoch)
         order = np.random.default_rng([seed, epoch]).permutation(len(scenes))
         chosen = order[place * budget.batch_size : (place + 1) * budget.batch_size]
         rng = np.random.default_rng([seed, 1, fitting.step])
-        audio, truth = _batch(rng, scenes, chosen, turns)
+        audio, truth = _batch(rng, scenes, chosen, views)
         array = scenes.array
         if network.steered:
             turn = float(rng.uniform(0, 2 * np.pi))
@@ -113,11 +116,11 @@ def pretrain(
     scenes: SceneSet, budget: Budget, run: Path, seed: int, progress: Progress, device: str = "cpu"
 ) -> None:
     """Run the self-supervised stage on a scene set without labels; the run keeps a checkpoint."""
-    task = SsclTask(PAPER_SSCL, scenes.array)
+    task = SsclTask(SSCL, scenes.array)
     task.model.to(device).train()
     size = min(budget.batch_size, len(scenes))
     steps = budget.epochs * max(1, len(scenes) // size)
-    fitting = _Curve(task.model, PAPER_SSCL.learning_rate * budget.rate, steps, run)
+    fitting = _Curve(task.model, SSCL.learning_rate * budget.rate, steps, run)
     while fitting.step < steps:
         rng = np.random.default_rng([seed, 2, fitting.step])
         chosen = np.sort(rng.choice(len(scenes), size, replace=False))
@@ -182,15 +185,15 @@ def _batch(
     rng: np.random.Generator,
     scenes: SceneSet,
     chosen: np.ndarray[Any, Any],
-    turns: list[tuple[Any, float]],
+    views: list[Symmetry],
 ) -> tuple[FloatArray, Truth]:
     """Noisy windows (B, N, T), each under a random symmetry of the array, and the truth."""
     audio = scenes.audio[np.sort(chosen)].astype(np.float32)
     azimuth = scenes.azimuth[np.sort(chosen)].astype(np.float32).copy()
     for index in range(len(audio)):
-        permutation, turn = turns[int(rng.integers(len(turns)))]
-        audio[index] = audio[index][permutation]
-        azimuth[index] += np.float32(turn)
+        view = views[int(rng.integers(len(views)))]
+        audio[index] = audio[index][view.permutation]
+        azimuth[index] = view.azimuth(azimuth[index])
     mask = np.isfinite(azimuth)
     truth = Truth(torch.from_numpy(np.where(mask, azimuth, 0)), torch.from_numpy(mask))
     return sometimes_noisy(rng, audio), truth

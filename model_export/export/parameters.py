@@ -18,6 +18,7 @@ from torch import nn
 
 from model_export.training.config import TrainingConfig
 from model_export.training.counting import CandidateCountNetwork
+from model_export.training.reparametrize import merge
 from model_export.training.task import Task
 from model_export.training.variants import task_of
 from service.doa.types import FloatArray
@@ -26,7 +27,7 @@ from service.inference.bundle import PARAMETERS, Bundle, read_arrays
 
 @dataclass(frozen=True, slots=True)
 class TrainedModel:
-    """A bundle's networks as torch modules, in evaluation mode."""
+    """A bundle's networks with the text's parameters, in evaluation mode."""
 
     config: TrainingConfig
     task: Task[Any]
@@ -62,6 +63,7 @@ def trained_model(bundle: Bundle) -> TrainedModel:
     try:
         config = TrainingConfig.from_dict(manifest.training["config"])
         task = task_of(config)
+        merge(task.model)
         _load(task.model, "model", arrays)
         source_count = None
         if config.variant == "weights":

@@ -33,7 +33,7 @@ def export_run(
     *,
     name: str | None,
     version: str,
-    rooms: Path,
+    rooms: Path | None,
     speech: Sequence[FloatArray],
     validation_speech: Sequence[FloatArray],
     counting_scenes: int,
@@ -44,6 +44,7 @@ def export_run(
 ) -> Manifest:
     """Export the run's checkpoint as a bundle, after training a `weights` run's source count.
 
+    ``rooms`` is the folder of the room bank on which the source count is trained, if it is.
     ``source_count`` is the folder of a bundle whose source count is used instead: the teacher's,
     for a distilled run, which gives the same candidates. ``out`` may hold a bundle, which is
     replaced once the new one has passed its tests.
@@ -81,6 +82,8 @@ def export_run(
         network = source_count_of(source_count)
         training["counting_from"] = read_manifest(source_count)[0].training["parameters"]
     else:
+        if rooms is None:
+            raise ValueError("the source count is trained in a room bank: name it with --rooms")
         network, scores = _count_sources(
             task, rooms, speech, validation_speech, noises, counting_scenes, config.seed
         )

@@ -12,13 +12,13 @@ from rich.progress import track
 from model_export.finetuning.labels import Segment, Talker, read_labels, segments
 from model_export.simulation.scenes import WINDOW_SAMPLES
 from model_export.training.task import STFT
+from neuralmusic.errors import DoaError
 from service.cli.inputs import open_recording, read_channel_map
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics import ChannelDiagnostics, Finding
 from service.doa.diagnostics.levels import decibels
 from service.doa.mirror import into_searched_half
 from service.doa.types import BoolArray, FloatArray, IntArray
-from service.errors import DoaError
 from service.inference.geometry import choose_channels
 from service.inference.results import MAX_SOURCES
 

@@ -11,7 +11,7 @@ from model_export.export.bundle_place import in_the_place_of
 from model_export.finetuning.finetune import ARRAY, FineTuning, Outcome, finetune
 from model_export.finetuning.labelled_recordings import LabelledRecording, load_recordings
 from model_export.simulation.room_bank import RoomBank
-from service.cli.terminal import line, output, table
+from neuralmusic.cli.terminal import line, output, table
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 from service.inference.bundle import load_bundle

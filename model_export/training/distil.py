@@ -74,9 +74,9 @@ class DistilTask(WeightsTask):
         loss = losses["weights"] + losses["attention"] + SCALE_WEIGHT * losses["scale"]
         return {"loss": loss + SHARE_WEIGHT * losses["share"], **losses}
 
-    def scores(self, batch: CellBatch) -> dict[str, float]:
+    def scores(self, batch: CellBatch) -> dict[str, Tensor]:
         losses = self.losses(batch)
-        return {f"held_{name}": float(losses[name]) for name in ("weights", "attention")}
+        return {f"held_{name}": losses[name][None] for name in ("weights", "attention")}
 
 
 def _total(cells: Tensor) -> Tensor:

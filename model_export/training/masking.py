@@ -33,7 +33,9 @@ def draw_mask(rng: np.random.Generator, num_bins: int, num_frames: int) -> BoolA
     return mask
 
 
-def masked_features(spectra: ComplexArray, microphone: IntArray, mask: BoolArray) -> FloatArray:
+def masked_features(
+    spectra: ComplexArray, microphone: IntArray, mask: BoolArray, level_exponent: float = 0.0
+) -> FloatArray:
     """The network's features when one microphone is silent in the masked cells.
 
     The spectra are masked, not the features: norm and level of the features would leak the masked
@@ -46,6 +48,8 @@ def masked_features(spectra: ComplexArray, microphone: IntArray, mask: BoolArray
     microphone : (B,) int
         The masked microphone of every scene.
     mask : (B, F, L) bool
+    level_exponent : float
+        As ``spectrogram_features`` has it.
 
     Returns
     -------
@@ -60,7 +64,7 @@ def masked_features(spectra: ComplexArray, microphone: IntArray, mask: BoolArray
     without_first = (mask & (microphone == 0)[:, None, None])[:, None]  # (B, 1, F, L)
     # Microphones 0 and 1 change places for the computation, and their real parts change back after
     # it; the imaginary part that stays at microphone 1 is that of the silent microphone 0.
-    features = spectrogram_features(_swapped(masked, without_first))
+    features = spectrogram_features(_swapped(masked, without_first), level_exponent=level_exponent)
     return _swapped(features, without_first)
 
 

@@ -16,10 +16,10 @@ import numpy as np
 from model_export.simulation.scenes import WINDOW_SAMPLES, Scene
 from model_export.training.config import TrainingConfig
 from model_export.training.task import STFT
+from neuralmusic.errors import AudioError
 from service.audio.recording import Recording
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray, IntArray
-from service.errors import AudioError
 from service.inference.geometry import choose_channels
 
 SUFFIXES = (".wav", ".flac")

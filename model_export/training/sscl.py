@@ -32,6 +32,7 @@ from model_export.training.masking import draw_mask, masked_features
 from model_export.training.networks import LATENT
 from model_export.training.networks.encoder import Encoder
 from model_export.training.precision import training_precision
+from model_export.training.reparametrize import load_plain, reparametrize
 from model_export.training.task import STFT, Batch, Task
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
@@ -98,7 +99,9 @@ class MaskedBatch(Batch):
     """(B, F, L) bool, the masked cells that count"""
 
 
-def collate_masked(rng: np.random.Generator, scenes: Sequence[Scene]) -> MaskedBatch:
+def collate_masked(
+    rng: np.random.Generator, scenes: Sequence[Scene], level_exponent: float = 0.0
+) -> MaskedBatch:
     """Mask a random microphone of every scene with a random mask."""
     spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))  # (B, N, F, L)
     microphone = rng.integers(spectra.shape[1], size=len(spectra))
@@ -106,7 +109,7 @@ def collate_masked(rng: np.random.Generator, scenes: Sequence[Scene]) -> MaskedB
     power = (spectra.real**2 + spectra.imag**2).sum(axis=1)  # (B, F, L)
     norm = np.sqrt(np.maximum(power, np.finfo(np.float32).tiny))
     return MaskedBatch(
-        features=torch.from_numpy(masked_features(spectra, microphone, mask)),
+        features=torch.from_numpy(masked_features(spectra, microphone, mask, level_exponent)),
         spectra=torch.from_numpy(spectra / norm[:, None]),
         microphone=torch.from_numpy(microphone),
         cells=torch.from_numpy(mask & louder_half(power)),
@@ -131,12 +134,13 @@ class SsclTask:
         self.config = config
         self.array = array or preset(config.array)
         self.model = SsclPipeline(self.array.num_microphones)
+        reparametrize(self.model, config)
 
     def start_from(self, start: Task[Any]) -> None:
         """Continue another self-supervised run, such as from simulated to recorded scenes."""
         if not isinstance(start, SsclTask):
             raise ValueError(f"{self.config.name} starts from an `sscl` run, not from another kind")
-        self.model.load_state_dict(start.model.state_dict())
+        load_plain(self.model, start.model.state_dict())
 
     def losses(self, batch: MaskedBatch) -> dict[str, Tensor]:
         """Share of the masked channel's power that is not reconstructed."""
@@ -148,8 +152,8 @@ class SsclTask:
         cells = batch.cells
         return {"loss": (error * cells).sum() / (power * cells).sum().clamp(min=1e-6)}
 
-    def scores(self, batch: MaskedBatch) -> dict[str, float]:
-        return {"unexplained": float(self.losses(batch)["loss"])}
+    def scores(self, batch: MaskedBatch) -> dict[str, Tensor]:
+        return {"unexplained": self.losses(batch)["loss"][None]}
 
 
 def louder_half(power: FloatArray) -> BoolArray:
@@ -161,12 +165,15 @@ def louder_half(power: FloatArray) -> BoolArray:
 def load_encoder(encoder: Encoder, start: SsclTask, config: TrainingConfig) -> None:
     """Copy all parameters and statistics of the self-supervised encoder.
 
+    ``start`` is a run as ``train.load_run`` gives it, of the text's plain parameters.
+
     Raises
     ------
     ValueError
-        If its array or phase reference differs, or the name or shape of a parameter.
+        If its array, phase reference or level exponent differs, or the name or shape of a
+        parameter.
     """
-    for setting in ("array", "phase_reference"):
+    for setting in ("array", "phase_reference", "level_exponent"):
         theirs, ours = getattr(start.config, setting), getattr(config, setting)
         if theirs != ours:
             raise ValueError(
@@ -174,6 +181,6 @@ def load_encoder(encoder: Encoder, start: SsclTask, config: TrainingConfig) -> N
                 f"{ours}: pretrain with the same {setting}"
             )
     try:
-        encoder.load_state_dict(start.model.encoder.state_dict())
+        load_plain(encoder, start.model.encoder.state_dict())
     except RuntimeError as error:
         raise ValueError(f"the encoder of {start.config.name} does not fit: {error}") from error

@@ -62,7 +62,8 @@ class Task(Protocol[BatchT]):
 
     def losses(self, batch: BatchT) -> dict[str, Tensor]: ...
 
-    def scores(self, batch: BatchT) -> dict[str, float]: ...
+    def scores(self, batch: BatchT) -> dict[str, Tensor]:
+        """One number a scene, or one a batch, by name; those in degrees end in ``_deg``."""
 
 
 def steering_delays(positions: FloatArray, azimuth: FloatArray) -> FloatArray:
@@ -86,10 +87,9 @@ def padded_azimuths(scenes: Sequence[Scene]) -> tuple[Tensor, Tensor]:
     return azimuth, mask
 
 
-def nearest_peak_error(fused: Tensor, batch: LocatedBatch) -> float:
-    """Median distance in degrees from the highest peak of (B, A) to the nearest source."""
+def nearest_peak_error(fused: Tensor, batch: LocatedBatch) -> Tensor:
+    """Degrees from the highest peak of (B, A) to the nearest source, for every scene with any."""
     best = batch.grid[fused.argmax(-1)]
     gaps = torch.remainder(batch.azimuth - best[:, None] + torch.pi, 2 * torch.pi) - torch.pi
     errors = gaps.abs().masked_fill(~batch.mask, torch.inf).amin(-1)
-    finite = errors[torch.isfinite(errors)]
-    return float(torch.rad2deg(finite.median())) if len(finite) else 0.0
+    return torch.rad2deg(errors[torch.isfinite(errors)])

@@ -35,4 +35,4 @@ def collate(config: TrainingConfig, rng: np.random.Generator, scenes: Sequence[S
         return collate_weights(config, rng, scenes)
     if config.variant == "regression":
         return collate_regression(config, rng, scenes)
-    return collate_masked(rng, scenes)
+    return collate_masked(rng, scenes, config.level_exponent)

@@ -31,7 +31,7 @@ KEPT_SHARE = 0.25
 
 
 class PastContext(nn.Module):
-    """Residual causal convolution in time over the last ``2 * dilation`` frames of each row."""
+    """Residual causal convolution in time, over the previous ``2 * dilation`` frames of a row."""
 
     looks_ahead = False
 

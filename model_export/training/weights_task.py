@@ -128,7 +128,7 @@ class WeightsTask:
         }
         return {"loss": losses["spectrum"] + SHARE_WEIGHT * losses["share"], **losses}
 
-    def scores(self, batch: WeightsBatch) -> dict[str, float]:
+    def scores(self, batch: WeightsBatch) -> dict[str, Tensor]:
         return {"peak_error_deg": nearest_peak_error(self._run(batch).fused, batch)}
 
     def _run(self, batch: WeightsBatch) -> FusedSpectrum:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from service.cli.terminal import line
+from neuralmusic.cli.terminal import line
 
 if TYPE_CHECKING:
     from service.batch.archive import FoundRecording

@@ -7,7 +7,8 @@ import json
 import os
 from typing import TYPE_CHECKING, Any
 
-from service.errors import InvalidOption
+from neuralmusic.errors import InvalidOption
+from service.machine.environment import prepare_process
 
 if TYPE_CHECKING:
     from service.bench.window import BenchResult, Timing
@@ -34,6 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    prepare_process()
     for flag in ("threads", "repeats"):
         if getattr(args, flag) < 1:
             raise InvalidOption(f"--{flag} must be at least 1, but is {getattr(args, flag)}")
@@ -109,7 +111,7 @@ def _milliseconds(timing: Timing) -> dict[str, float]:
 
 
 def _print(result: BenchResult) -> None:
-    from service.cli.terminal import line, output, table
+    from neuralmusic.cli.terminal import line, output, table
 
     console = output()
     microphones = result.array.num_microphones

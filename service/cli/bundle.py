@@ -8,8 +8,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from service.cli.terminal import line, output, table
-from service.errors import UnknownModel
+from neuralmusic.cli.terminal import line, output, table
+from neuralmusic.errors import UnknownModel
+from service.machine.environment import prepare_process
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -33,6 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    prepare_process()
     from service.inference.bundle import read_manifest
 
     folders = _folders() if args.bundle is None else [_find(args.bundle)]

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from rich.console import Console
 
-from service.cli.terminal import clock, degrees, line, output, sector, table, warn
+from neuralmusic.cli.terminal import line, output, table, warn
+from neuralmusic.cli.words import clock, degrees, sector
 from service.doa.peaks import circular_difference
 from service.inference.results import Source
 from service.recordings.results import RecordingResult, WindowResult
@@ -35,7 +36,7 @@ def print_result(result: RecordingResult) -> None:
     console.print(drawn)
     _print_summary(console, result)
     for warning in result.warnings:
-        warn(console, warning)
+        warn(console, warning.code, warning.detail)
 
 
 def stretches(windows: Sequence[WindowResult]) -> list[Interval]:

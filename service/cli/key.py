@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from service.cli.terminal import line, output, table
-from service.errors import InvalidOption
+from neuralmusic.cli.terminal import line, output, table
+from neuralmusic.errors import InvalidOption
 
 if TYPE_CHECKING:
     from service.access.key_file import Key

@@ -9,8 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from service.cli.inputs import add_array, add_recording, open_recording
+from neuralmusic.cli.flags import add_array
+from service.cli.inputs import add_recording, open_recording
 from service.cli.options import add_options, read_request
+from service.machine.environment import prepare_process
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,6 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    prepare_process()
     asked = read_request(args, spectrum=str(args.spectrum))
     if args.plot:
         from service.cli.plot import check_drawable

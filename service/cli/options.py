@@ -7,43 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from service.cli.inputs import Arguments, array_text
+from neuralmusic.cli.flags import add_choices, given_options
 
 if TYPE_CHECKING:
     from service.recordings.options import LocalizeRequest
-
-NAMES = (
-    "channel_map",
-    "method",
-    "model",
-    "num_sources",
-    "max_sources",
-    "window_s",
-    "hop_s",
-    "yaw_deg",
-    "exclude_deg",
-)
-"""Of the flags that are options of the HTTP interface, besides the array"""
-
-
-def add_choices(parser: Arguments) -> None:
-    """``--method``, ``--model`` and the like, which recordings and streams share."""
-    from service.protocol.methods import METHODS
-
-    add = parser.add_argument
-    add("--method", choices=METHODS, help="neural where a model fits the array")
-    add("--model", metavar="NAME", help="the model bundle")
-    add("--num-sources", metavar="M", help="the known number of sources")
-    add("--max-sources", metavar="M", help="most sources, where it is estimated")
-    add("--yaw", dest="yaw_deg", metavar="DEGREES", help="how far the array is turned on the robot")
-    add(
-        "--exclude",
-        dest="exclude_deg",
-        action="append",
-        metavar="FROM:TO,...",
-        help="sectors in degrees, counter-clockwise, in which nothing is reported; repeatable "
-        "(--exclude=-30:30 around the front)",
-    )
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -60,15 +27,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="NPZ",
         help="a profile of the robot's own noise (neuralmusic noise), which is taken away",
     )
-
-
-def given_options(args: argparse.Namespace) -> dict[str, str]:
-    """The options that were given, by the HTTP interface's names and as its text."""
-    flags = {name: getattr(args, name, None) for name in NAMES}
-    given = {name: text for name, text in flags.items() if text is not None}
-    if "exclude_deg" in given:
-        given["exclude_deg"] = ",".join(given["exclude_deg"])
-    return {"array": array_text(args.array), **given}
 
 
 def read_request(args: argparse.Namespace, **more: str) -> LocalizeRequest:

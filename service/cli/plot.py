@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from neuralmusic.errors import ConfigError
 from service.doa.array import pairwise_distances
 from service.doa.types import FloatArray
-from service.errors import ConfigError
 from service.recordings.results import RecordingResult, SummarySource
 
 if TYPE_CHECKING:
@@ -44,7 +44,8 @@ def check_drawable(path: Path) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
     except ImportError:
         raise ConfigError(
-            'pictures need matplotlib: pip install "neuralmusic[plot]", or leave --plot out'
+            "pictures need matplotlib: pip install ./client '.[plot]' in the project's folder, or "
+            "leave --plot out"
         ) from None
     if path.suffix[1:].lower() not in FigureCanvasAgg.get_supported_filetypes():
         raise ConfigError(f"{path} names no picture format: end it in .png, .svg or .pdf")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from service.machine.environment import prepare_process
+
 NAME = "serve"
 SUMMARY = "run the HTTP service"
 VALUE: dict[object, str] = {int: "N", float: "SECONDS"}
@@ -29,7 +31,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted."""
-    from service import __version__
+    prepare_process()
+    from neuralmusic import __version__
     from service.server import serve
     from service.settings import RENAMED, Settings, load_settings
 

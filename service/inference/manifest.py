@@ -1,4 +1,4 @@
-"""bundle.json: what a model bundle says of itself."""
+"""bundle.json, the manifest of a model bundle."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ SCHEMA_VERSION: Literal[2] = 2
 Variant = Literal["weights", "regression"]
 NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]{0,63}$"
 FILE_PATTERN = r"^[A-Za-z0-9_][A-Za-z0-9._-]{0,63}$"
-"""Of a file beside the manifest: nothing that leads out of the folder"""
+"""Names of files beside the manifest; none leads out of the folder"""
 
 
 class _Section(BaseModel):
@@ -31,9 +31,9 @@ class StftSection(_Section):
     sample_rate: int
     """Hertz"""
     n_fft: int
-    """Samples"""
+    """Samples in a frame"""
     hop: int
-    """Samples"""
+    """Samples between frames"""
     frames: int
     """Frames per window that the networks were trained on"""
 
@@ -46,29 +46,31 @@ class Tensor(_Section):
 
 
 class Graph(_Section):
-    """An ONNX graph's contract; all tensors are float32."""
+    """The inputs and outputs of an ONNX graph; all tensors are float32."""
 
     inputs: list[Tensor]
     outputs: list[Tensor]
 
 
 class Manifest(_Section):
-    """Everything that a bundle says of itself."""
+    """The content of bundle.json."""
 
     schema_version: Literal[2] = SCHEMA_VERSION
     name: str = Field(pattern=NAME_PATTERN)
     version: str
     variant: Variant
-    """`weights`: time-frequency weights come out, any array; `regression`: matrices, one array"""
+    """`weights` gives time-frequency weights, for any array; `regression` matrices, for one"""
     description: str
     array: Literal["any"] | BoundArray
     stft: StftSection
     grid_size: int
     """Azimuths of the spectra; a `weights` bundle takes twice as many for arrays above 0.3 m"""
     first_bin: int
-    """First STFT bin that the networks see"""
+    """First STFT bin of the networks' input"""
     num_bins: int
-    """Bins that the networks see"""
+    """Number of STFT bins of the networks' input"""
+    level_exponent: float = 0.0
+    """Exponent of the level in a `regression` bundle's features (`service/doa/spectrogram.py`)"""
     max_sources: int
     """Largest count that the source-count network can give"""
     files: dict[Annotated[str, Field(pattern=FILE_PATTERN)], str]
@@ -76,11 +78,11 @@ class Manifest(_Section):
     covariance: Graph
     source_count: Graph
     covariance_stream: Graph | None = None
-    """Of the covariance network over a stream, where the bundle has one"""
+    """Graph of the covariance network for streams, where the bundle has one"""
     training: dict[str, Any]
     """Configuration, seed, steps and data"""
     scores: dict[str, Any]
-    """Results on held-out speakers, with the protocol that they were measured on"""
+    """Results on held-out speakers, with the protocol of the measurement"""
     parity: dict[str, Any]
     """Largest differences of the spectra between torch, onnxruntime and numpy"""
     licences: list[str]

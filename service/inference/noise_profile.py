@@ -1,9 +1,9 @@
 """A noise profile as a file: ``NoiseCovariance`` in an npz without pickle.
 
 Members: ``format`` (the version, 1), ``name`` (the array's), ``positions`` (N, 3) float64 in
-metres, ``sample_rate`` in hertz, ``n_fft`` and ``hop`` in samples, ``seconds`` that it was learnt
-from, ``covariance`` (F, N, N) complex64. Members are stored, not compressed, and every header is
-compared with the size of its member, so that nothing is allocated that the file does not hold.
+metres, ``sample_rate`` in hertz, ``n_fft`` and ``hop`` in samples, ``seconds`` of audio that it was
+learnt from, ``covariance`` (F, N, N) complex64. Members are stored uncompressed, and every header
+is compared with the size of its member, so that no more is allocated than the file holds.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.lib import format as npy
 
+from neuralmusic.errors import InvalidGeometry, NoiseProfileInvalid
 from service.doa.array import MAX_MICROPHONES, MicrophoneArray
 from service.doa.stft import Stft
 from service.doa.whitening import NoiseCovariance
-from service.errors import InvalidGeometry, NoiseProfileInvalid
 from service.inference.geometry import MAX_NAME
 
 FORMAT = 1
 MAX_FFT = 4096
 MAX_BYTES = 8 * (MAX_FFT // 2 + 1) * MAX_MICROPHONES**2 + 2**16
-"""Of a file: the covariances of the longest frames and the most microphones, and room for the rest;
-profiles of four microphones have 34 kB"""
+"""Most bytes of a file: covariances of the longest frames and the most microphones, and room for
+the rest; profiles of four microphones have 34 kB"""
 HERMITIAN = 1e-4
-"""Of the largest value: more asymmetry than float32 leaves"""
+"""Largest asymmetry against the largest value; float32 leaves less"""
 MEMBERS = {
     "format": (np.dtype(np.int64), 0),
     "name": (np.dtype(f"<U{MAX_NAME}"), 0),
@@ -43,7 +43,7 @@ MEMBERS = {
     "covariance": (np.dtype(np.complex64), 3),
 }
 """Type and number of axes of every member"""
-WHAT = "is no noise profile of this version: write one with neuralmusic noise"
+WHAT = "is not a noise profile of this version: write one with neuralmusic noise"
 
 
 def save_noise(noise: NoiseCovariance, file: Path | BinaryIO) -> None:
@@ -71,7 +71,7 @@ def load_noise(file: Path | BinaryIO) -> NoiseCovariance:
     Raises
     ------
     NoiseProfileInvalid
-        If the file is too large, no profile, of another version, or holds impossible values.
+        If the file is too large, not a profile of this version, or holds impossible values.
     OSError
         If a path cannot be read.
     """
@@ -84,7 +84,7 @@ def load_noise(file: Path | BinaryIO) -> NoiseCovariance:
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             fields = {name: _member(archive, name) for name in MEMBERS}
-    # RuntimeError: an encrypted member.
+    # An encrypted member raises RuntimeError.
     except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, RuntimeError) as error:
         raise NoiseProfileInvalid(f"the file {WHAT}") from error
     return _profile(fields)
@@ -130,12 +130,12 @@ def _profile(fields: Mapping[str, Any]) -> NoiseCovariance:
         )
     seconds = float(fields["seconds"])
     if not (np.isfinite(seconds) and seconds > 0 and _is_covariance(covariance)):
-        raise NoiseProfileInvalid("the profile's values are no covariances: learn the noise again")
+        raise NoiseProfileInvalid("the profile holds no valid covariances: learn the noise again")
     return NoiseCovariance(covariance, array, stft, seconds)
 
 
 def _is_covariance(matrices: Any) -> bool:
-    """Finite, Hermitian and, on the diagonal, not negative; up to rounding."""
+    """Whether matrices are finite, Hermitian up to rounding and not negative on the diagonal."""
     if not np.isfinite(matrices).all():
         return False
     skew = np.abs(matrices - np.conj(np.swapaxes(matrices, -1, -2))).max()

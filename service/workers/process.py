@@ -1,4 +1,4 @@
-"""A child process of the service and the socket to it."""
+"""A worker process of the service and the socket to it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import sys
 from service.workers.link import worker_environment
 
 END_S = 5.0
-"""Seconds that a worker has to end before it is killed"""
+"""Seconds for a worker to end before it is killed"""
 
 
 class WorkerProcess:
@@ -21,18 +21,18 @@ class WorkerProcess:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", module, str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
-                # Decoders print there what they find wrong with a recording; logs go to stderr.
+                # Decoders print to it what they find wrong with a recording; logs go to stderr.
                 stdout=subprocess.DEVNULL,
                 env=worker_environment(),
             )
         self.pid = self._process.pid
 
     def kill(self) -> None:
-        """End the process at once; the socket tells its reader."""
+        """Kill the process; its reader notices by the socket."""
         self._process.kill()
 
     def end(self) -> int:
-        """Close the socket, wait for the process; its exit status, negative for a signal."""
+        """Close the socket, wait for the process, return its exit status; negative for a signal."""
         self.connection.close()
         try:
             return self._process.wait(END_S)

@@ -3,7 +3,7 @@
 ``python tests/bench/dashboard.py docs/dashboard.png`` starts all of it on the loopback, runs every
 query of every panel of ``docker/grafana/dashboards/neuralmusic.json``, fails where a panel would be
 empty, and draws the panels in the dashboard's own layout. It needs the binary ``prometheus``
-(Debian's package) and ``neuralmusic[dev]``.
+(Debian's package) and ``make install``.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def running(command: list[str], **options: Any) -> Iterator[subprocess.Popen[str
 @contextmanager
 def service(settings: list[str], log: Path) -> Iterator[str]:
     """A service on a free port; its address."""
-    command = [sys.executable, "-c", "from service.cli import main; raise SystemExit(main())"]
+    command = [sys.executable, "-c", "from neuralmusic.cli import main; raise SystemExit(main())"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with (
         log.open("w") as errors,

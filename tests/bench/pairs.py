@@ -121,10 +121,10 @@ def _windows(work: Work) -> Iterator[Callable[[], int]]:
 def _steps() -> Iterator[Callable[[], int]]:
     import soundfile
 
+    from neuralmusic.protocol.client_messages import OutputOptions
     from service.bench.window import bench_pieces, bench_pipeline
     from service.doa.presets import preset
     from service.inference.bundle import load_bundle
-    from service.protocol.client_messages import OutputOptions
 
     bundle, array = load_bundle(ROOT / "service/models/any-array"), preset(ARRAY)
     audio, _ = soundfile.read(ROOT / "examples/two-talkers.flac", dtype="float32")

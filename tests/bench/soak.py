@@ -35,7 +35,7 @@ from reliability import write_table
 from scipy.stats import theilslopes
 from served import Footprint, Served
 
-from service.errors import DoaError
+from neuralmusic.errors import DoaError
 
 SAMPLE_S = 5.0
 WARM_UP = 1 / 6

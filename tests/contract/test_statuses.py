@@ -29,11 +29,11 @@ from jsonschema import Draft202012Validator
 from running_service import RunningService
 from websockets.sync.client import connect
 
+from neuralmusic.errors import BundleNotFound
 from service.access.key_file import Key, new_token, token_sha256
 from service.doa.presets import preset
 from service.doa.stft import Stft
 from service.doa.whitening import NoiseCovariance
-from service.errors import BundleNotFound
 from service.inference.noise_profile import noise_bytes
 from service.inference.noise_store import NoiseStore
 from service.lifecycle import Lifecycle, Phase

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import service.client.errors  # noqa: F401  (part of the tree)
-from service.errors import DoaError
+import neuralmusic.client_errors  # noqa: F401  (part of the tree)
+from neuralmusic.errors import DoaError
 from service.recordings.answers import LocalizationAnswer
 
 from .http import Answer

@@ -12,7 +12,7 @@ from typing import Any
 
 from jsonschema import Draft202012Validator
 
-from service.protocol.close_codes import CloseCode
+from neuralmusic.protocol.close_codes import CloseCode
 
 from .conversations import Conversation
 from .frames import CLOSE, PONG, TEXT, close, take_frames

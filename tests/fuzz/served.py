@@ -12,7 +12,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 ROOT = Path(__file__).parents[2]
-COMMAND = (sys.executable, "-c", "from service.cli import main; main()", "serve", "--port", "0")
+COMMAND = (sys.executable, "-m", "neuralmusic", "serve", "--port", "0")
 PATIENCE_S = 60.0
 """Seconds until a service that hangs fails a test"""
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import soundfile
 
-pytest.importorskip("ray.serve", reason="needs Ray: pip install 'neuralmusic[ray]'")
+pytest.importorskip("ray.serve", reason="needs Ray: pip install ./client '.[ray]'")
 
 from command_line import run
 from ray_cluster import until

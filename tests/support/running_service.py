@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 @contextmanager
 def serving(**settings: str) -> Iterator[str]:
     """The address of a service of its own process on a free port."""
-    command = [sys.executable, "-c", "from service.cli import main; main()", "serve", "--port", "0"]
+    command = [sys.executable, "-m", "neuralmusic", "serve", "--port", "0"]
     # Nobody reads the pipe after the first line: it must not fill up.
     environment = {**os.environ, "NEURALMUSIC_LOG_LEVEL": "warning", **settings}
     with subprocess.Popen(

@@ -17,9 +17,9 @@ import pytest
 import soundfile
 from scripted_service import TIMEOUT_S, Peer, ScriptedService, result
 
+from neuralmusic.protocol.framing import HEADER
+from neuralmusic.protocol.server_messages import StreamWarning
 from service.doa.array import MicrophoneArray
-from service.protocol.framing import HEADER
-from service.protocol.server_messages import StreamWarning
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import soundfile
 
+from neuralmusic.protocol.client_messages import OutputOptions
 from service.audio.recording import Recording
 from service.bench.window import bench_pieces, bench_pipeline, bench_window, cpu_ms
 from service.doa.array import MicrophoneArray
@@ -20,7 +21,6 @@ from service.doa.presets import preset
 from service.inference.bundle import Bundle
 from service.inference.localizer import localizer_of
 from service.inference.registry import BundleRegistry
-from service.protocol.client_messages import OutputOptions
 from service.recordings.localize import localize_recording
 from service.recordings.results import LocalizeOptions
 

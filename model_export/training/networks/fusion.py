@@ -21,13 +21,15 @@ class FrequencyAttentionFusion(nn.Module):
         self.squeeze = nn.Linear(num_bins, bottleneck, bias=False)
         self.excite = nn.Linear(bottleneck, num_bins, bias=False)
 
-    def attention(self, spectrum: Tensor) -> Tensor:
-        """Weights (B, F) in (0, 1) for spectra (B, F, A)."""
-        pooled = spectrum.mean(-1)  # (B, F)
-        hidden = torch.relu(self.squeeze(pooled))  # (B, 16)
-        return torch.sigmoid(self.excite(hidden))  # (B, F)
+    def attention(self, spectrum: Tensor, bins: Tensor | None = None) -> Tensor:
+        """Weights (B, F) in (0, 1) of the spectra (B, F, A), which may be those of some bins."""
+        chosen = slice(None) if bins is None else bins
+        squeeze = self.squeeze.weight[:, chosen]  # (16, F)
+        pooled = spectrum.mean(-1) * (self.squeeze.in_features / squeeze.shape[1])  # (B, F)
+        hidden = torch.relu(pooled @ squeeze.T)  # (B, 16)
+        return torch.sigmoid(hidden @ self.excite.weight[chosen].T)  # (B, F)
 
-    def forward(self, spectrum: Tensor) -> Tensor:
-        alpha = self.attention(spectrum)  # (B, F)
+    def forward(self, spectrum: Tensor, bins: Tensor | None = None) -> Tensor:
+        alpha = self.attention(spectrum, bins)  # (B, F)
         fused = torch.einsum("bf,bfa->ba", alpha, spectrum)  # (B, A)
         return fused / alpha.sum(-1, keepdim=True)

@@ -26,11 +26,11 @@ from model_export.simulation.room_bank import RoomBank
 from model_export.simulation.rooms import RoomSpec
 from model_export.simulation.synthesis import synthetic_voice
 from model_export.training.variants import collate
+from neuralmusic.errors import BundleCorrupt
 from service.cli.inputs import read_array
 from service.doa.array import MicrophoneArray
 from service.doa.features import coherence_features, unit_vectors_and_power
 from service.doa.types import FloatArray
-from service.errors import BundleCorrupt
 from service.inference.bundle import MANIFEST, PARAMETERS, file_sha256, load_bundle
 from service.inference.descriptors import NUM_DESCRIPTORS
 from service.inference.registry import EMBEDDED_MODELS, self_test

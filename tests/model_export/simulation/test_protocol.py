@@ -28,6 +28,7 @@ from model_export.simulation.scene_config import SceneConfig
 from model_export.simulation.scenes import (
     WINDOW_SAMPLES,
     convolve,
+    convolve_window,
     draw_scene,
 )
 from model_export.simulation.synthesis import synthetic_voice
@@ -176,6 +177,19 @@ def test_convolution_does_not_wrap_round() -> None:
     wet = convolve(dry, response)
     assert wet.shape[-1] >= 149
     assert wet[0].argmax() == 148
+
+
+@pytest.mark.parametrize("start", [0, 100, 3000])
+def test_a_convolved_window_is_that_of_the_whole_convolution(start: int) -> None:
+    rng = np.random.default_rng(4)
+    dry = rng.standard_normal(WINDOW_SAMPLES + 3000).astype(np.float32)
+    responses = rng.standard_normal((2, 1000)).astype(np.float32)
+    whole = np.stack([np.convolve(dry, each) for each in responses])
+    np.testing.assert_allclose(
+        convolve_window(dry, responses, start),
+        whole[:, start : start + WINDOW_SAMPLES],
+        atol=1e-3,
+    )
 
 
 def test_the_paper_s_room_is_the_paper_s() -> None:

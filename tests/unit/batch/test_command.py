@@ -98,7 +98,7 @@ def test_a_killed_run_goes_on_where_it_was(
         write_talker(archive / f"{name}.wav")
     write_talker(archive / "f.wav", seconds=60.0)
     flags = ["batch", "archive/*.wav", *FLAGS, "--jobs", "1", "--out", "out.jsonl"]
-    code = "import sys; from service.cli import main; sys.exit(main())"
+    code = "import sys; from neuralmusic.cli import main; sys.exit(main())"
     command = [sys.executable, "-c", code, *flags]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
         assert running.stderr is not None

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
+from neuralmusic.errors import WorkerLost
 from service.batch.archive import FoundRecording, find_recordings
 from service.batch.local import localize_here
 from service.batch.plan import Plan
-from service.errors import WorkerLost
 
 pytestmark = pytest.mark.processes
 

@@ -17,12 +17,12 @@ from rich.console import Console
 from scripted_service import TIMEOUT_S, ready, result
 from stream_command import run
 
-from service.cli.addresses import Address, read_address
-from service.cli.odas import odas_text
-from service.cli.stream_table import LiveTable
-from service.client import Reconnecting
-from service.errors import InvalidOption
-from service.protocol.server_messages import (
+from neuralmusic import Reconnecting
+from neuralmusic.cli.addresses import Address, read_address
+from neuralmusic.cli.odas import odas_text
+from neuralmusic.cli.stream_table import LiveTable
+from neuralmusic.errors import InvalidOption
+from neuralmusic.protocol.server_messages import (
     OdasPotential,
     OdasSource,
     OdasSsl,

@@ -12,15 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scripted_service import ready, result
 
-from service.client import Backoff
-from service.client.addresses import service_url, stream_url
-from service.client.audio import read_frames, split_frames
-from service.client.inbox import Inbox
-from service.client.send_queue import MAX_CONTROL, SendQueue
-from service.errors import AudioError, ChannelMismatch, InvalidOption
-from service.protocol import MAX_MESSAGE_BYTES
-from service.protocol.client_messages import AudioFormat
-from service.protocol.framing import HEADER, FrameHeader
+from neuralmusic import Backoff
+from neuralmusic.addresses import service_url, stream_url
+from neuralmusic.errors import AudioError, ChannelMismatch, InvalidOption
+from neuralmusic.protocol import MAX_MESSAGE_BYTES
+from neuralmusic.protocol.client_messages import AudioFormat
+from neuralmusic.protocol.framing import HEADER, FrameHeader
+from neuralmusic.streams.audio import read_frames, split_frames
+from neuralmusic.streams.inbox import Inbox
+from neuralmusic.streams.send_queue import MAX_CONTROL, SendQueue
 
 
 @pytest.mark.parametrize(

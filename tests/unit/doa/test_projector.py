@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from neuralmusic.errors import TooManySources
 from service.doa import classical
 from service.doa.pair_products import pair_products
 from service.doa.presets import preset
 from service.doa.projector import signal_projector
 from service.doa.steering import azimuth_grid, steering_vectors
 from service.doa.types import ComplexArray, FloatArray
-from service.errors import TooManySources
 
 
 def with_eigenvalues(values: FloatArray, seed: int = 0) -> tuple[ComplexArray, ComplexArray]:

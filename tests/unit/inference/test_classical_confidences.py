@@ -8,14 +8,14 @@ import numpy as np
 import pyroomacoustics as pra
 import pytest
 
+from neuralmusic.protocol.client_messages import AudioFormat, OutputOptions
+from neuralmusic.protocol.methods import Method
 from service.bench.window import bench_pieces
 from service.doa.array import MicrophoneArray
 from service.doa.scoring import circular_error
 from service.doa.stft import Stft
 from service.doa.types import FloatArray
 from service.inference.classical import ClassicalLocalizer
-from service.protocol.client_messages import AudioFormat, OutputOptions
-from service.protocol.methods import Method
 from service.streaming.pipeline import StreamPipeline, StreamPlan
 
 RATE = 16_000

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from neuralmusic.protocol.methods import METHODS
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.scoring import circular_error, maae
@@ -14,7 +15,6 @@ from service.inference.localizer import Localizer, estimate_stretch, localizer_o
 from service.inference.registry import BundleRegistry
 from service.inference.weights import LEAST_CONFIDENCE, strongest_blocks, surest
 from service.inference.windows import stretches, windows
-from service.protocol.methods import METHODS
 
 
 @pytest.fixture(scope="module")

@@ -21,12 +21,12 @@ from hypothesis.stateful import (
 )
 from stream_contract import validator
 
+from neuralmusic.errors import DoaError, WorkerLost
+from neuralmusic.protocol.close_codes import CloseCode
+from neuralmusic.protocol.server_messages import ServerMessage
 from service.api.outbox import message_json
-from service.errors import DoaError, WorkerLost
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
-from service.protocol.close_codes import CloseCode
-from service.protocol.server_messages import ServerMessage
 from service.streaming.host import StreamHost
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session

@@ -9,8 +9,8 @@ import signal
 import pytest
 from scripted_service import TIMEOUT_S
 
+from neuralmusic.protocol.client_messages import ArrayChoice, AudioFormat, Start
 from service.observability.metrics import Metrics
-from service.protocol.client_messages import ArrayChoice, AudioFormat, Start
 from service.settings import Settings
 from service.startup import load_registry
 from service.streaming.work import Open, Outcome

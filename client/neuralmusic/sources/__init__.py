@@ -1,0 +1,1 @@
+"""Where a stream's audio comes from: files, standard input, microphones."""
