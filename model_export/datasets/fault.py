@@ -22,7 +22,7 @@ class Fault:
     code: FaultCode
     path: Path
     detail: str
-    """What is wrong and what to do about it"""
+    """The problem and its remedy"""
 
     def __str__(self) -> str:
         return f"{self.path}: {self.detail}"

@@ -114,7 +114,7 @@ class Dataset(Protocol):
     name: ClassVar[str]
     licence: ClassVar[str]
     source: ClassVar[str]
-    """Who made it and where to get it"""
+    """Authors and download"""
     layout: ClassVar[str]
     """Layout of the folder that it unpacks to"""
     splits: ClassVar[tuple[str, ...]]

@@ -36,7 +36,7 @@ def read_table(
     Returns
     -------
     rows : (K, C) float64
-        At least one row; NaN where the file says NaN.
+        One row or more; NaN where the file says NaN.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Which mistakes in recordings the diagnostics name: the command ``mistakes``.
+"""Mistakes in recordings that the diagnostics name: the command ``mistakes``.
 
 Real speech in a simulated room is recorded by a board of four microphones, each time with one
 mistake in the recording or in its description.

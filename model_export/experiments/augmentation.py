@@ -1,4 +1,4 @@
-"""What training adds to a batch of scenes: noise."""
+"""Augmentation of a batch of scenes: noise."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from service.doa.types import FloatArray
 
 NOISE_PROBABILITY = 0.6
 NOISE_SNR_DB = (-10.0, 30.0)
-"""Both as in the paper's code"""
+"""Range of the SNR of added noise; it and the probability are those of the paper's code"""
 
 
 def white_noise(rng: np.random.Generator, audio: FloatArray, snr_db: float) -> FloatArray:
-    """Audio (N, T) with white noise at this ratio to its mean power over microphones and time."""
+    """Audio (N, T) with white noise; the SNR refers to the mean power over microphones and time."""
     sigma = np.sqrt(np.mean(np.square(audio)) * 10 ** (-snr_db / 10))
     noisy: FloatArray = audio + np.float32(sigma) * sensor_noise(rng, audio.shape)
     return noisy
 
 
 def sometimes_noisy(rng: np.random.Generator, audio: FloatArray) -> FloatArray:
-    """Windows (B, N, T), some with white noise of their own at a random ratio."""
+    """Windows (B, N, T), some with independent white noise at a random SNR."""
     return np.stack(
         [
             white_noise(rng, window, rng.uniform(*NOISE_SNR_DB))

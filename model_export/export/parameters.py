@@ -1,9 +1,9 @@
-"""The training model inside of a bundle, ``parameters.npz``: what fine-tuning starts from.
+"""The trained model inside a bundle, ``parameters.npz``, from which fine-tuning starts.
 
 The ONNX graphs cannot be trained further, and users have no run folder. The file holds every
-tensor of the trained networks under its ``state_dict`` name behind ``model.`` or
-``source_count.``, BatchNorm's statistics included; which networks they belong to follows from the
-training configuration in the manifest.
+tensor of the trained networks, BatchNorm's statistics included, under its ``state_dict`` name with
+the prefix ``model.`` or ``source_count.``; the training configuration in the manifest determines
+the networks.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class TrainedModel:
     config: TrainingConfig
     task: Task[Any]
     source_count: CandidateCountNetwork | None
-    """Of the `weights` variant; `regression` counts inside of its model"""
+    """Source count of the `weights` variant; None for `regression`, whose model counts itself"""
 
 
 def parameter_arrays(**networks: nn.Module) -> dict[str, FloatArray]:
@@ -45,18 +45,18 @@ def parameter_arrays(**networks: nn.Module) -> dict[str, FloatArray]:
 
 
 def trained_model(bundle: Bundle) -> TrainedModel:
-    """The model that a bundle was exported from.
+    """Load the model that a bundle was exported from.
 
     Raises
     ------
     ValueError
-        If the bundle holds no parameters, or those of networks that this version does not build.
+        If the bundle holds no parameters, or they do not fit this version's networks.
     """
     manifest = bundle.manifest
     if PARAMETERS not in manifest.files:
         raise ValueError(
-            f"the bundle {manifest.name} holds no {PARAMETERS} and cannot be fine-tuned: it was "
-            "exported before there was one; export its run again, or take a newer bundle"
+            f"the bundle {manifest.name} holds no {PARAMETERS} and cannot be fine-tuned: export "
+            "its run again, or use a newer bundle"
         )
     path = bundle.folder / PARAMETERS
     arrays = read_arrays(path.read_bytes(), path)
@@ -78,7 +78,7 @@ def trained_model(bundle: Bundle) -> TrainedModel:
 
 
 def source_count_of(folder: Path) -> CandidateCountNetwork:
-    """The source-count network of a `weights` bundle, whatever its other networks are.
+    """Load the source-count network of a `weights` bundle.
 
     Raises
     ------

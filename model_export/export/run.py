@@ -1,4 +1,4 @@
-"""From a run folder to a bundle: which variant it is, the source count, the training record."""
+"""Export of a run folder to a bundle: its variant, the source count, the training record."""
 
 from __future__ import annotations
 
@@ -42,18 +42,18 @@ def export_run(
     data: Sequence[str],
     licences: Sequence[str],
 ) -> Manifest:
-    """Export the run's checkpoint as a bundle; a `weights` run gets its source count first.
+    """Export the run's checkpoint as a bundle, after training a `weights` run's source count.
 
-    ``rooms`` is the folder of the bank that the source count is trained on, where it is.
-    ``source_count`` is the folder of a bundle whose source count is taken instead: that of the
-    teacher, for a run that was taught to give the same candidates. ``out`` may hold a bundle, which
-    is replaced once the new one has passed its tests.
+    ``rooms`` is the folder of the room bank on which the source count is trained, if it is.
+    ``source_count`` is the folder of a bundle whose source count is used instead: the teacher's,
+    for a distilled run, which gives the same candidates. ``out`` may hold a bundle, which is
+    replaced once the new one has passed its tests.
 
     Raises
     ------
     ValueError
-        If ``out`` holds anything else, the run cannot be exported, or the exported networks do not
-        give what the trained ones do.
+        If ``out`` holds anything else, the run cannot be exported, or the exported networks differ
+        from the trained ones.
     """
     check_replaceable(out)
     config, task, step = load_run(run)

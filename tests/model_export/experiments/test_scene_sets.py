@@ -1,4 +1,4 @@
-"""Scene sets: what is kept, unbiased parts, reproducible simulation."""
+"""Scene sets: storage, unbiased parts, reproducible simulation."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_a_set_reads_as_it_was_simulated(tmp_path: Path, voices) -> None:
 
 
 def test_parts_favour_no_direction(tmp_path: Path) -> None:
-    # Sorted by direction, as a listing of files is: the first fifth would be one sector.
+    # Sorted by direction, like a listing of files: the first fifth would be one sector.
     azimuth = np.linspace(0, 2 * np.pi, 500, endpoint=False)
     scenes = ((np.zeros((4, 8)), np.array([a])) for a in azimuth)
     part = SceneSet.write(tmp_path / "sorted", scenes, SQUARE).share(0.2)

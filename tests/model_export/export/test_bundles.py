@@ -1,4 +1,4 @@
-"""The whole training side in small: rooms, a few steps, export, and the bundle serves."""
+"""The whole training side in small: rooms, a few steps, export, and serving the bundle."""
 
 from __future__ import annotations
 
