@@ -151,7 +151,7 @@ def test_unreadable_files_are_one_sentence(
     short.write_bytes(Path(talk_wav).read_bytes()[:-100])
     text.write_text("no audio")
     assert "the header promises" in refusal(capsys, str(short), *stream_flags[1:])
-    assert "no audio file" in refusal(capsys, str(text), *stream_flags[1:])
+    assert "not an audio file" in refusal(capsys, str(text), *stream_flags[1:])
     monkeypatch.setitem(sys.modules, "soundfile", None)
     assert "pip install './client[files]'" in refusal(capsys, str(text), *stream_flags[1:])
 
