@@ -103,7 +103,7 @@ class LocalizationClient:
         Returns
         -------
         answer : dict
-            As ``POST /localize`` is documented: ``answer["summary"]["sources"]``,
+            The documented answer of ``POST /localize``: ``answer["summary"]["sources"]``,
             ``answer["windows"]``, ``answer["warnings"]``.
 
         Raises

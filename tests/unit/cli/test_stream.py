@@ -86,7 +86,7 @@ def test_a_file_may_have_more_channels_than_microphones(
         (["-", "--array", ARRAY], "raw samples need --encoding"),
         (["x.wav", "--array", ARRAY, "--channels", "2"], "give - as the FILE"),
         (["x.wav", "--array", ARRAY, "--ssl"], "--ssl goes with"),
-        (["x.wav", "--array", ARRAY, "--output", "odas", "--save", "x.csv"], "run it twice"),
+        (["x.wav", "--array", ARRAY, "--output", "odas", "--save", "x.csv"], "the command twice"),
     ],
 )
 def test_wrong_combinations_are_one_sentence(
@@ -99,7 +99,7 @@ def test_wrong_combinations_are_one_sentence(
     ("more", "reason"),
     [
         (["--array", "respeaker"], "no array preset is called 'respeaker'"),
-        (["--url", "ftp://robot"], "is no address"),
+        (["--url", "ftp://robot"], "is not an address"),
         (["--interval-ms", "5"], "output.interval_ms"),
         (["--exclude", "front"], "exclude_deg must list sectors as from:to"),
         (["--exclude", "10:10"], "empty or the whole circle"),
