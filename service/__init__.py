@@ -14,7 +14,7 @@ __all__ = ["localize"]
 
 
 def __getattr__(name: str) -> typing.Any:
-    """``localize``, which loads numpy and onnxruntime, once it is asked for."""
+    """``localize``, once it is asked for."""
     if name != "localize":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from service.in_process import localize

@@ -7,23 +7,18 @@ from dataclasses import replace
 from functools import cache
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO
-
-import numpy as np
-import soundfile
-from numpy.typing import ArrayLike
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from neuralmusic.errors import AudioError
 from neuralmusic.protocol.methods import Method
 from neuralmusic.recordings.form import Array, Sectors, form_fields
-from service.audio.recording import Recording
-from service.inference.noise_profile import load_noise
-from service.inference.registry import BundleRegistry
-from service.recordings.answers import LocalizationAnswer, WindowAnswer
-from service.recordings.localize import localize_recording
-from service.recordings.options import read_options
-from service.settings import load_settings
-from service.startup import load_registry
+from service.machine.environment import disable_telemetry
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from service.inference.registry import BundleRegistry
+    from service.recordings.answers import LocalizationAnswer
 
 
 def localize(
@@ -45,7 +40,8 @@ def localize(
 ) -> LocalizationAnswer:
     """Directions of arrival in a recording, as ``POST /localize`` answers.
 
-    The first call loads the models that ``NEURALMUSIC_MODELS`` names, and the embedded ones.
+    The first call loads the models that ``NEURALMUSIC_MODELS`` names, and the embedded ones. Unless
+    onnxruntime is loaded already, it is told not to report to its maker.
 
     Parameters
     ----------
@@ -94,6 +90,13 @@ def localize(
         "exclude_deg": exclude_deg,
         "spectrum": spectrum,
     }
+    disable_telemetry()
+    from service.audio.recording import Recording
+    from service.inference.noise_profile import load_noise
+    from service.recordings.answers import LocalizationAnswer, WindowAnswer
+    from service.recordings.localize import localize_recording
+    from service.recordings.options import read_options
+
     asked = read_options(form_fields(array, options).items()).options
     if noise is not None:
         asked = replace(asked, noise=load_noise(Path(noise)))
@@ -105,6 +108,9 @@ def localize(
 
 @cache
 def _registry() -> BundleRegistry:
+    from service.settings import load_settings
+    from service.startup import load_registry
+
     return load_registry(load_settings())
 
 
@@ -115,6 +121,9 @@ def _file(recording: Any, sample_rate: int | None) -> Path | BinaryIO:
     if hasattr(recording, "read"):
         file: BinaryIO = recording
         return file
+    import numpy as np
+    import soundfile
+
     samples = np.asarray(recording)
     if sample_rate is None:
         raise AudioError("give the sample_rate of an array, in hertz")

@@ -65,7 +65,7 @@ def running(command: list[str], **options: Any) -> Iterator[subprocess.Popen[str
 def service(settings: list[str], log: Path) -> Iterator[str]:
     """A service on a free port; its address."""
     command = [sys.executable, "-c", "from neuralmusic.cli import main; raise SystemExit(main())"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT / 'client'}:{ROOT}"}
     with (
         log.open("w") as errors,
         running(

@@ -40,7 +40,7 @@ class Turns:
         threads = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         self._process = subprocess.Popen(
             [sys.executable, checkout / "tests/bench/pairs.py", checkout, "--turns", work],
-            env={**os.environ, **threads, "PYTHONPATH": str(checkout)},
+            env={**os.environ, **threads, "PYTHONPATH": f"{checkout / 'client'}:{checkout}"},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

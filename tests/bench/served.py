@@ -68,7 +68,7 @@ class Served:
             [*within, COMMAND, "serve", *port, "--log-level", "warning", *flags],
             stdout=subprocess.PIPE,
             stderr=self._log,
-            env={**os.environ, "PYTHONPATH": str(ROOT), **(environment or {})},
+            env={**os.environ, "PYTHONPATH": f"{ROOT / 'client'}:{ROOT}", **(environment or {})},
             text=True,
         )
         self.pid = self.process.pid

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from source_tree import ROOT
 
-from service.machine.environment import VARIABLES
+from service.machine.environment import TELEMETRY, VARIABLES
 from service.workers.link import worker_environment
 
 LOOKING = """
@@ -62,9 +62,14 @@ def test_every_process_sets_them_before_numpy_is_imported(words: list[str], tmp_
     assert told(program, tmp_path) == VARIABLES
 
 
-@pytest.mark.parametrize("module", ["service.in_process", "service.app", "model_export.cli"])
+@pytest.mark.parametrize("module", ["service.inference.engine", "service.app", "model_export.cli"])
 def test_importing_sets_nothing(module: str, tmp_path: Path) -> None:
     assert told(f"import {module}", tmp_path) == dict.fromkeys(VARIABLES)
+
+
+def test_a_call_in_another_s_process_leaves_blas_alone(tmp_path: Path) -> None:
+    program = f"import service\nservice.localize({FILE!r}, array={ARRAY[1]!r})"
+    assert told(program, tmp_path) == {**dict.fromkeys(VARIABLES), TELEMETRY: "1"}
 
 
 def test_workers_inherit_what_the_user_has_set(monkeypatch: pytest.MonkeyPatch) -> None:
