@@ -58,8 +58,8 @@ _HOMES = {
     "StreamRefused": "client_errors",
     "Timeouts": "streams.connection",
 }
-"""The module of every name, which is imported once somebody asks for it: the service's own
-processes need the errors alone, and neither websockets nor asyncio"""
+"""Module of every name, imported on first use: the service's own processes need only the errors,
+neither websockets nor asyncio"""
 
 
 def __getattr__(name: str) -> typing.Any:

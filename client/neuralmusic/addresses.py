@@ -1,4 +1,4 @@
-"""The service's addresses from whatever form of them a user gives."""
+"""The service's addresses, from any form that a user gives."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ def service_url(url: str) -> str:
     Parameters
     ----------
     url : str
-        With ``http``, ``https``, ``ws`` or ``wss``, or none of them for ``http``.
+        An address with ``http``, ``https``, ``ws`` or ``wss``; without one it means ``http``.
 
     Raises
     ------
     InvalidOption
-        If it is no such address, or has a query: keys never belong into an address.
+        If it is not such an address, or has a query: keys never belong in an address.
     """
     text = url.strip()
     try:
@@ -31,10 +31,10 @@ def service_url(url: str) -> str:
     except ValueError:  # an impossible port or bracket
         known = False
     if not known:
-        raise InvalidOption(f"{url!r} is no address: give one such as http://127.0.0.1:8000")
+        raise InvalidOption(f"{url!r} is not an address: give one such as http://127.0.0.1:8000")
     if parts.query or parts.fragment or parts.username is not None:
         raise InvalidOption(
-            f"the address of {parts.hostname} may hold neither a query nor a name: a key is given "
+            f"the address of {parts.hostname} may hold neither a query nor a user name: give a key "
             "as key, never in an address"
         )
     path = parts.path.rstrip("/").removesuffix(STREAM_PATH)
@@ -42,15 +42,15 @@ def service_url(url: str) -> str:
 
 
 def stream_url(url: str) -> str:
-    """``ws(s)://host[:port][/prefix]/stream`` of the same forms."""
+    """``ws(s)://host[:port][/prefix]/stream``, from the same forms as ``service_url``."""
     scheme, rest = service_url(url).split("://", 1)
     return f"{_SOCKET[scheme]}://{rest}{STREAM_PATH}"
 
 
 def authorization(key: str | None) -> dict[str, str]:
-    """The header with a key, if there is one; InvalidOption where it cannot be one."""
+    """The header with a key, if there is one; InvalidOption where it cannot be a key."""
     if not key:
         return {}
     if not (key.strip().isascii() and key.strip().isprintable()):
-        raise InvalidOption("the key has characters that no key has: pass what was printed for it")
+        raise InvalidOption("the key has characters that no key has: pass it as it was printed")
     return {"Authorization": f"Bearer {key.strip()}"}

@@ -29,13 +29,13 @@ Position = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class ArrayPreset:
-    """A microphone array that has a name."""
+    """A microphone array with a name."""
 
     name: str
     positions_m: tuple[Position, ...]
     """Metres, ``(x, y, z)`` per microphone"""
     source: str
-    """The document that the positions are from"""
+    """Document that the positions are from"""
 
     @property
     def aperture_m(self) -> float:
@@ -44,7 +44,7 @@ class ArrayPreset:
 
 
 def preset(name: str) -> ArrayPreset:
-    """The preset of this name, or UnknownArray with the names there are."""
+    """The preset of this name, or UnknownArray with the known names."""
     try:
         return PRESETS[name]
     except KeyError:
@@ -174,7 +174,7 @@ _ARRAYS = (
 )
 
 PRESETS: Mapping[str, ArrayPreset] = MappingProxyType({array.name: array for array in _ARRAYS})
-"""Every preset by its name."""
+"""Presets by name"""
 
 RAW_CHANNELS: Mapping[str, Mapping[int, tuple[int, ...]]] = MappingProxyType(
     {

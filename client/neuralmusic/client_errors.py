@@ -1,4 +1,4 @@
-"""What a client of the service cannot go on with; the service itself never sends these.
+"""Errors that end a client's work; the service itself never sends these.
 
 ClientError
 ├─ ServiceUnreachable
@@ -14,8 +14,8 @@ from typing_extensions import Self
 from neuralmusic.errors import DoaError
 
 RETRYABLE_STATUS = frozenset({429, 502, 503, 504})
-"""502 and 504 are a proxy's words for a service that restarts; 429 passes: a robot that lost its
-network comes back before the service has noticed that its last session is over"""
+"""HTTP statuses worth a retry. A proxy answers 502 and 504 for a service that restarts; 429 passes,
+as when a robot reconnects before the service notices that its last session is over"""
 
 
 class ClientError(DoaError, code="client_failed", title="The client cannot go on"):
@@ -29,12 +29,12 @@ class ServiceUnreachable(
 
 
 class ServiceProblem(ClientError, code="service_problem", title="The service refused"):
-    """The service said no: ``code``, ``title`` and ``detail`` are the service's own.
+    """The service refused: ``code``, ``title`` and ``detail`` are the service's own.
 
     Parameters
     ----------
     code, title, detail : str
-        Of the problem document (RFC 9457), or of the stream's ``error`` or ``closing``.
+        Fields of the problem document (RFC 9457), or of the stream's ``error`` or ``closing``.
     status : int
         HTTP status, or 0 where a stream was closed instead.
     retryable : bool
@@ -65,9 +65,9 @@ class ServiceProblem(ClientError, code="service_problem", title="The service ref
     def answered(
         cls, status: int, reason: str, body: bytes | bytearray, retry_after: str | None
     ) -> Self:
-        """What an HTTP answer says, whether its body is a problem document or a proxy's page.
+        """The problem of an HTTP answer, whose body is a problem document or a proxy's page.
 
-        A ``Retry-After`` that is a date is not waited for.
+        A ``Retry-After`` with a date is ignored.
         """
         try:
             problem = json.loads(body)

@@ -38,11 +38,11 @@ from typing import TypedDict
 from typing_extensions import Unpack
 
 UNEXPECTED = "the service failed; its log says why: please report it"
-"""Of errors that nobody foresaw; their cause stays in the log"""
+"""Sentence for unexpected errors; their cause stays in the log"""
 
 
 class Attributes(TypedDict, total=False):
-    """What a class of error may say of itself as keywords of its class statement."""
+    """Keywords of the class statement of an error."""
 
     code: str
     status: int
@@ -52,7 +52,7 @@ class Attributes(TypedDict, total=False):
 
 
 class DoaError(Exception):
-    """Anything the service can say no to: a stable code, an HTTP status and a sentence.
+    """Any refusal or failure of the service: a stable code, an HTTP status and a sentence.
 
     A stream that ends with it closes with ``close_code`` (``neuralmusic.protocol.close_codes``).
     """
@@ -63,10 +63,10 @@ class DoaError(Exception):
     retryable: bool = False
     close_code: int = 1011
     retry_after_s: float | None = None
-    """Seconds after which the same request passes, where that is known"""
+    """Seconds after which the same request may pass, where that is known"""
 
     def __init_subclass__(cls, **attributes: Unpack[Attributes]) -> None:
-        """Take attributes as keywords of the class statement; what is not given is inherited."""
+        """Take attributes from keywords of the class statement; others are inherited."""
         super().__init_subclass__()
         for name, value in attributes.items():
             setattr(cls, name, value)
@@ -103,7 +103,7 @@ class NonFiniteAudio(AudioError, code="audio_non_finite", title="Non-finite samp
 
 
 class DecodingFailed(AudioError, code="decoding_failed", title="Decoding failed"):
-    """The recording crashed its decoder, or kept it from ever getting on."""
+    """The recording crashed its decoder, or the decoder made no progress."""
 
 
 class RecordingUnreadable(AudioError, code="recording_unreadable", title="Unreadable recording"):
@@ -121,7 +121,7 @@ class TooManyChannels(AudioError, code="too_many_channels", title="Too many chan
 class UnsupportedSampleRate(
     AudioError, code="sample_rate_unsupported", title="Unsupported sample rate"
 ):
-    """The sample rate is outside of what can be localized."""
+    """The sample rate is outside the range that can be localized."""
 
 
 class AudioTooLong(AudioError, code="audio_too_long", status=413, title="Recording too long"):
@@ -165,7 +165,7 @@ class UnknownMethod(OptionError, code="method_unknown", title="Unknown method"):
 
 
 class TooManySources(OptionError, code="too_many_sources", title="Too many sources for the array"):
-    """More sources are asked for than the array can tell apart."""
+    """More sources are requested than the array can tell apart."""
 
 
 class GeometryMismatch(
@@ -197,11 +197,11 @@ class NoiseCalibrationFailed(
 
 
 class NoiseStoreFull(NoiseError, code="noise_full", status=409, title="Too many noise profiles"):
-    """The service holds as many noise profiles as it keeps."""
+    """The limit of stored noise profiles is reached."""
 
 
 class UploadError(DoaError, code="upload_invalid", status=400, title="Invalid upload"):
-    """The request's body cannot be taken."""
+    """The request's body cannot be accepted."""
 
 
 class MissingAudio(
@@ -227,11 +227,11 @@ class RequestTimeout(UploadError, code="request_timeout", status=408, title="Req
 class AccessError(
     DoaError, code="access_refused", status=403, title="Access refused", close_code=4401
 ):
-    """Whoever asks may not have this."""
+    """The client has no access to this."""
 
 
 class Unauthorized(AccessError, code="unauthorized", status=401, title="Key needed"):
-    """The request has no key that is good here; answered with ``WWW-Authenticate``."""
+    """The request has no valid key; the answer has ``WWW-Authenticate``."""
 
 
 class KeyMissing(Unauthorized, code="key_missing", title="Key missing"):
@@ -239,15 +239,15 @@ class KeyMissing(Unauthorized, code="key_missing", title="Key missing"):
 
 
 class KeyUnknown(Unauthorized, code="key_unknown", title="Unknown key"):
-    """The service has no such key, or has it no more."""
+    """The service has no such key, or it was removed."""
 
 
 class KeyExpired(Unauthorized, code="key_expired", title="Key expired"):
-    """The key was valid until a date that has passed."""
+    """The key has expired."""
 
 
 class RoleMissing(AccessError, code="role_missing", title="Role missing"):
-    """The key is good, but not for this."""
+    """The key is valid, but lacks the role for this."""
 
 
 class KeyInAddress(AccessError, code="key_in_address", status=400, title="Key in the address"):
@@ -255,7 +255,7 @@ class KeyInAddress(AccessError, code="key_in_address", status=400, title="Key in
 
 
 class HostRefused(AccessError, code="host_refused", status=421, title="Unknown host"):
-    """The request names a host that this service is not."""
+    """The request's host is not a name of this service."""
 
 
 class OriginRefused(AccessError, code="origin_refused", title="Origin refused", close_code=1008):
@@ -265,11 +265,11 @@ class OriginRefused(AccessError, code="origin_refused", title="Origin refused", 
 class KeyLimitError(
     DoaError, code="key_limit", status=429, title="Limit of the key reached", close_code=4429
 ):
-    """The key has used what it may."""
+    """The key has reached one of its limits."""
 
 
 class TooManyUploads(KeyLimitError, code="too_many_uploads", title="Too many uploads"):
-    """As many uploads of this key are in work as it may have at a time."""
+    """The key has reached its limit of uploads at the same time."""
 
 
 class AudioQuota(KeyLimitError, code="audio_quota", title="Audio quota used up"):
@@ -283,11 +283,11 @@ class AudioQuota(KeyLimitError, code="audio_quota", title="Audio quota used up")
 class StreamProtocolError(
     DoaError, code="stream_invalid", status=400, title="Invalid stream", close_code=4400
 ):
-    """A stream's client broke the protocol, or the session met one of its limits."""
+    """A stream's client broke the protocol, or the session reached one of its limits."""
 
 
 class InvalidMessage(StreamProtocolError, code="message_invalid", title="Invalid message"):
-    """A message is no JSON, of no known type, or one of its fields is wrong."""
+    """A message is not JSON, has no known type, or one of its fields is wrong."""
 
 
 class SubprotocolMissing(
@@ -325,7 +325,7 @@ class TooManySessions(
     title="Too many sessions",
     close_code=4429,
 ):
-    """This client, or this key, has as many sessions as it may have."""
+    """This client, or this key, has reached its limit of sessions."""
 
 
 class BundleError(DoaError, code="bundle_invalid", title="Unusable model bundle"):
@@ -333,7 +333,7 @@ class BundleError(DoaError, code="bundle_invalid", title="Unusable model bundle"
 
 
 class BundleNotFound(BundleError, code="bundle_not_found", title="Model bundle not found"):
-    """There is no bundle at that place."""
+    """There is no bundle in that folder."""
 
 
 class BundleCorrupt(BundleError, code="bundle_corrupt", title="Corrupt model bundle"):
@@ -351,7 +351,7 @@ class SelfTestFailed(BundleError, code="self_test_failed", title="Model self-tes
 
 
 class ReloadRefused(BundleError, code="reload_refused", status=409, title="Reload refused"):
-    """The bundles on disk cannot be used; those that were loaded go on serving."""
+    """The bundles on disk cannot be used; the service keeps the loaded ones."""
 
 
 class CapacityError(
@@ -365,7 +365,7 @@ class Overloaded(CapacityError, code="overloaded", title="Overloaded"):
 
 
 class DiskFull(CapacityError, code="disk_full", title="Disk full"):
-    """What a client sent cannot be stored: the disk is full or refuses to be written."""
+    """The client's data cannot be stored: the disk is full or cannot be written."""
 
 
 class NotReady(CapacityError, code="not_ready", title="Not ready"):

@@ -1,6 +1,6 @@
 """Options as text: query parameters, form fields and flags are read by the same functions.
 
-Readers raise ValueError with the rest of a sentence that begins with the option's name.
+Readers raise ValueError; its text completes a sentence that begins with the option's name.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from neuralmusic.protocol.message import SHOWN
 
 T = TypeVar("T")
 NUMBER = re.compile(r"-?(\d+(\.\d+)?(e-?\d+)?|\.\d+(e-?\d+)?|\d+\.)", re.ASCII | re.IGNORECASE)
-"""Not float() alone: it takes "nan", "1_0" and digits of any script. Nothing in it may match in two
-ways: 64,000 digits and a letter would take minutes"""
+"""Numbers that clients may write; float() would also take "nan", "1_0" and digits of any script.
+No part may match in two ways: 64,000 digits and a letter would take minutes"""
 MAX_DIGITS = 64
-"""Characters of a number"""
+"""Most characters of a number"""
 MAX_SECTORS = 16
-"""As many as a stream may exclude"""
+"""Most excluded sectors, as for a stream"""
 
 
 def read_text(name: str, text: str, read: Callable[[str], T]) -> T:
@@ -46,14 +46,14 @@ def read_number(text: str, low: float, high: float) -> float:
 
 
 def read_integer(text: str, low: int, high: int) -> int:
-    """A whole number of at least ``low``; what lies above ``high`` is for the caller to judge."""
+    """A whole number of at least ``low``; the caller checks ``high``."""
     if not re.fullmatch(r"-?\d{1,9}", text, re.ASCII) or int(text) < low:
         raise ValueError(f"must be a whole number from {low} to {high}")
     return int(text)
 
 
 def read_flag(text: str) -> bool:
-    """A truth value as clients write it."""
+    """A truth value in one of the spellings that clients use."""
     if text.lower() in ("true", "1", "yes", "on"):
         return True
     if text.lower() in ("false", "0", "no", "off"):
@@ -62,7 +62,7 @@ def read_flag(text: str) -> bool:
 
 
 def read_sectors(text: str) -> tuple[tuple[float, float], ...]:
-    """Sectors as ``80:100,350:10``."""
+    """Sectors written as ``80:100,350:10``."""
     sentence = "must list sectors as from:to in degrees from -360 to 360, as 80:100,350:10"
     parts = text.split(",", MAX_SECTORS)
     if len(parts) > MAX_SECTORS:

@@ -26,7 +26,7 @@ IN_DS64 = 0xFFFF_FFFF
 """Length in an RF64 file that stands for the true one in the ds64 chunk"""
 
 EXTENSIBLE = 0xFFFE
-"""Format whose true one is the beginning of a GUID"""
+"""Format that stands for the true one at the beginning of a GUID"""
 
 _ENCODINGS: dict[tuple[int, int], Encoding] = {
     (1, 16): "pcm_s16le",
@@ -34,7 +34,7 @@ _ENCODINGS: dict[tuple[int, int], Encoding] = {
     (1, 32): "pcm_s32le",
     (3, 32): "pcm_f32le",
 }
-"""By format and bits per sample"""
+"""Encodings by format and bits per sample"""
 _BYTE_ORDER = {b"RIFF": "<", b"RF64": "<", b"RIFX": ">"}
 
 
@@ -48,7 +48,7 @@ class WavHeader:
     frame_bytes: int
     """Bytes per sample frame of all channels"""
     encoding: Encoding | None
-    """None where the samples are of a kind that no stream takes as it is"""
+    """Encoding of the samples; None where a stream cannot take them as they are"""
     start: int
     """Bytes from the start of the file to its audio"""
     promised: int

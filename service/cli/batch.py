@@ -37,7 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "recordings",
         nargs="+",
         metavar="GLOB",
-        help="recordings, or quoted patterns of them; ** is folders in folders",
+        help="recordings, or quoted patterns of them; ** matches folders in folders",
     )
     add_array(parser)
     add_channel_map(parser)
@@ -47,7 +47,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="FILE",
-        help="the .jsonl or .parquet file; recordings that are in it already are left out",
+        help="the .jsonl or .parquet file; recordings already in it are skipped",
     )
     parser.add_argument(
         "--engine", choices=ENGINES, default="local", help="processes here, or a Ray cluster"
@@ -123,7 +123,7 @@ def _records(
 def _print(out: Path, found: int, new: int, errors: Sequence[str]) -> None:
     from neuralmusic.cli.terminal import line, output
 
-    before = f", {found - new} of them before" if found > new else ""
+    before = f", {found - new} of them earlier" if found > new else ""
     line(output(), f"{out}: {found - len(errors)} of {found} recordings localized{before}")
     for code, count in sorted(Counter(errors).items()):
         line(output(), f"{code}: {count}", "yellow")

@@ -1,4 +1,4 @@
-"""``neuralmusic check``: what is wrong with a recording, channel by channel."""
+"""``neuralmusic check``: the faults of a recording, channel by channel."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     with open_recording(args.file) as recording:
         given = read_channel_map(args.channel_map)
         chosen, assumed = choose_channels(recording.channels, array, given)
-        meter = LevelMeter(recording.channels)  # all channels are shown, the chosen ones judged
+        meter = LevelMeter(recording.channels)  # of all channels; only chosen ones are checked
         diagnostics = ChannelDiagnostics(recording.sample_rate, len(chosen), chosen)
         for block in recording.blocks(range(recording.channels), recording.sample_rate):
             meter.add(block)
@@ -78,7 +78,7 @@ def _document(
     levels: ChannelLevels,
     report: DiagnosticReport,
 ) -> dict[str, Any]:
-    """What ``--json`` prints; a level of minus infinity is null."""
+    """The document of ``--json``; a level of minus infinity is null."""
     channels = [
         {
             "channel": channel,

@@ -1,4 +1,4 @@
-"""A localized recording as text: who spoke from where and when, summary and warnings."""
+"""A localized recording as text: directions over time, summary and warnings."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _by_azimuth(sources: Sequence[Source]) -> tuple[Source, ...]:
 
 
 def _same(first: Sequence[Source], second: Sequence[Source]) -> bool:
-    """True where the sources agree in some circular order: 359 and 1 degrees are neighbours."""
+    """Whether the sources agree in some circular order: 359 and 1 degrees are neighbours."""
     if len(first) != len(second):
         return False
     turns = range(max(len(second), 1))

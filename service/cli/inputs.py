@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from service.audio.recording import AudioLimits, Recording
     from service.doa.array import MicrophoneArray
 
-MAX_SECONDS = 86_400.0  # the limits of the service protect others; this is the user's own machine
+MAX_SECONDS = 86_400.0  # the service's limits protect other clients; this machine is the user's own
 MAX_CHANNELS = 256
 
 
@@ -23,7 +23,7 @@ def add_recording(parser: argparse.ArgumentParser) -> None:
 
 
 def generous_limits() -> AudioLimits:
-    """What a recording of the user's own may claim."""
+    """Limits for a recording of the user's own."""
     from service.audio.recording import AudioLimits
 
     return AudioLimits(max_channels=MAX_CHANNELS, max_seconds=MAX_SECONDS)

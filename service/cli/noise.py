@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     from service.inference.noise_profile import noise_bytes
 
     array = read_array(args.array)
-    stft = Stft()  # that of every embedded model and of the classical methods
+    stft = Stft()  # the same as in every embedded model and the classical methods
     with open_recording(args.file) as recording:
         given = read_channel_map(args.channel_map)
         channels, assumed = choose_channels(recording.channels, array, given)

@@ -1,4 +1,4 @@
-"""How sound is to be localized, as flags: the same for every command that does."""
+"""Flags for the options of localization, the same for every command that localizes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """``add_choices``, ``--window`` and the like."""
+    """Add ``add_choices``, ``--window`` and further flags."""
     add_choices(parser)
     parser.add_argument(
         "--models", metavar="FOLDER", help="folders of further bundles, separated as in PATH"
@@ -25,19 +25,19 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--noise",
         type=Path,
         metavar="NPZ",
-        help="a profile of the robot's own noise (neuralmusic noise), which is taken away",
+        help="a profile of the robot's own noise (neuralmusic noise), to be removed",
     )
 
 
 def read_request(args: argparse.Namespace, **more: str) -> LocalizeRequest:
-    """The options, read and checked as those of a request, with the noise profile's content.
+    """The options, read and checked like a request's, with the noise profile's content.
 
     Raises
     ------
     DoaError
-        If one of them, or the noise profile, is wrong.
+        If an option or the noise profile is wrong.
     OSError
-        If a file that they name cannot be read.
+        If a named file cannot be read.
     """
     from service.inference.noise_profile import load_noise
     from service.recordings.options import read_options

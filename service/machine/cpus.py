@@ -35,7 +35,7 @@ def cpu_quota(root: Path = CONTROL_GROUPS, membership: Path = MEMBERSHIP) -> flo
     Parameters
     ----------
     root : Path
-        Where the control groups are mounted.
+        Folder where the control groups are mounted.
     membership : Path
         ``/proc/self/cgroup``.
 

@@ -137,7 +137,7 @@ class WarningAnswer(Answer):
 
 
 class LocalizationAnswer(Answer):
-    """Where the sound in a recording comes from."""
+    """The directions of the sources in a recording."""
 
     model: ModelAnswer | None
     """The bundle that was used; null for a classical method"""

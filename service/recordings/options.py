@@ -113,7 +113,7 @@ OPTIONS: Mapping[str, Option] = {
         -360,
         360,
         0.0,
-        "Degrees by which the array is turned on the robot, counter-clockwise; azimuths add it.",
+        "Degrees by which the array is turned counter-clockwise on the robot; azimuths include it.",
     ),
     "exclude_deg": Option(
         read_sectors,

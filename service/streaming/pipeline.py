@@ -51,7 +51,7 @@ class StreamPlan:
 
 
 class Estimate(NamedTuple):
-    """Where the sounds come from at one moment of the stream; azimuths in the array's frame."""
+    """Directions at one moment of the stream; azimuths are in the array's frame."""
 
     t_start: float
     """Seconds of stream time"""

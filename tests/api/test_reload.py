@@ -65,7 +65,7 @@ def service(models: Path) -> Iterator[RunningService]:
 
 
 def version(url: str) -> str:
-    """Of the model that new requests get."""
+    """Version of the model that new requests get."""
     models = httpx2.get(f"{url}/models", timeout=PATIENCE).json()["models"]
     return next(str(model["version"]) for model in models if model["name"] == "robot")
 

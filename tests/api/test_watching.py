@@ -101,7 +101,7 @@ class Collector:
 
 TRACE = "0af7651916cd43dd8448eb211c80319c"
 BROKEN = "import service.api.page as page; page.page_files = None"
-"""Makes a defect of the page's style sheet"""
+"""Program that turns the page's style sheet into an unexpected error"""
 
 
 @dataclass(frozen=True)

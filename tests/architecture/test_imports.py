@@ -45,7 +45,7 @@ ORDER = {
 """Rooms from the ground up: each imports only those of the lines above it, none of its own line"""
 
 IDLE = ("torch.", "model_export.", "matplotlib.", "opentelemetry.sdk.", "opentelemetry.exporter.")
-"""What no service imports that makes no pictures and sends no traces"""
+"""Packages of extras, which the service imports only for pictures and traces"""
 TRAINING = {"torch", "model_export", "onnx", "onnxscript"}
 OTHERS = {"service", "model_export", "numpy", "scipy", "onnxruntime", "fastapi", "starlette"}
 

@@ -6,7 +6,7 @@ from source_tree import modules
 
 CODE_FROM_DATA = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "xml"}
 MAY_PICKLE = {"service.workers.link", "service.recordings.forked_workers"}
-"""They talk to the service's own workers, never to a client"""
+"""Modules that may unpickle: they talk to the service's own workers, never to a client"""
 EVALUATING = {"eval", "exec", "compile", "os.system", "os.popen"}
 NETWORK = {"urllib.request", "http.client", "ftplib", "smtplib", "requests", "httpx", "httpx2"}
 CONNECTING = {"socket.create_connection", "asyncio.open_connection", "connect"}

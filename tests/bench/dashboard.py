@@ -34,11 +34,11 @@ RULES = ROOT / "docker" / "prometheus" / "rules.yml"
 RECORDING = ROOT / "examples" / "two-talkers.flac"
 ARRAY = "respeaker-usb-4mic-v2"
 RATE_INTERVAL = "15s"
-"""What ``$__rate_interval`` is at a scrape a second"""
+"""Value of ``$__rate_interval`` at a scrape a second"""
 PATIENCE_S = 30
 FLOOD_S = 4.0
 TAIL_S = 3.0
-"""Before the end of the load, at which the picture ends"""
+"""Seconds before the end of the load at which the picture ends"""
 MISTAKES: tuple[tuple[bytes, dict[str, str]], ...] = (
     (b"no audio at all", {"array": ARRAY}),
     (b"RIFF", {"array": "nobody's"}),

@@ -67,7 +67,7 @@ class Robot:
     warnings: list[StreamWarning] = field(default_factory=list)
     calibrated: list[Calibrated] = field(default_factory=list)
     failure: DoaError | None = None
-    """What the client gave up with"""
+    """Error with which the client gave up"""
     stream: AsyncStreamClient | None = None
     began: float = 0.0
 

@@ -24,13 +24,13 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 ARRAY = "respeaker-usb-4mic-v2"
 WINDOWS = 3
-"""Of a turn"""
+"""Windows in a turn"""
 STREAMS = 8
-"""That take a step each in a turn: what one leaves in the cache is not all for the next"""
+"""Streams that take a step each in a turn, so that caches are as cold as in a service"""
 WARM_UP = 15
 
 Work = Literal["window", "classical", "step"]
-"""A neural window, one of NormMUSIC in 257 bins, a stream's 100 ms"""
+"""Kinds of work: a neural window, one of NormMUSIC in 257 bins, 100 ms of a stream"""
 
 
 class Turns:

@@ -17,7 +17,7 @@ import neuralmusic
 
 ADVICE = re.compile(r"pip install((?: +(?:'[^'\n]+'|\"[^\"\n]+\"|[^\s'\"`),:;]+))+)")
 WORDS = {"in", "or", "once", "for", "with", "beside", "while", "and", "#"}
-"""Where a command within a sentence ends"""
+"""End of a command within a sentence"""
 PUBLISHED = {"neuralmusic": "client", "neuralmusic-service": "."}
 """Distributions of the project and their folders"""
 FOREIGN = {"soundfile"}

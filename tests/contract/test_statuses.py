@@ -58,7 +58,7 @@ class Subject:
     service: RunningService
     client: httpx2.Client
     guarded: httpx2.Client
-    """Of another service, which has keys and waits for no body"""
+    """Client of another service, which has keys and waits for no body"""
 
     def localize(self, content: bytes, media_type: str = "audio/wav") -> httpx2.Response:
         parameters = {"array": ARRAY, "method": "music"}
@@ -273,7 +273,7 @@ REQUESTS: dict[tuple[str, str, int], Ask] = dict(refusals()) | {
     ("get", "/metrics", 200): ask("GET", "/metrics"),
     ("get", "/", 200): ask("GET", "/"),
 }
-"""By method, path and status: a request that gets it"""
+"""Requests by the method, path and status that they get"""
 
 DOCUMENTED = {
     (method, path, int(status)): response

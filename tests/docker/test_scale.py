@@ -67,7 +67,7 @@ class Load:
     cut: int = 0
     """Sessions that ended before the client wanted it"""
     told: int = 0
-    """Of those, how many got their summary and were told why"""
+    """Cut sessions that got their summary and were told why"""
 
     async def upload(self, recording: bytes, *, one_connection: bool) -> None:
         """One recording after the other, over the same connection or always a new one."""

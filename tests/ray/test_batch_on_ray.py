@@ -30,7 +30,7 @@ pytestmark = pytest.mark.ray
 
 RATE = 16_000
 AT_WORK = b"ray::RecordingActor.record"
-"""What Ray calls an actor's process while it localizes"""
+"""Name that Ray gives an actor's process while it localizes"""
 
 
 @pytest.fixture

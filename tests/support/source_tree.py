@@ -14,13 +14,13 @@ FOLDERS = {
     "service": ROOT / "service",
     "model_export": ROOT / "model_export",
 }
-"""By package"""
+"""Folders by package"""
 
 TOLD = {"shell", "allow_pickle"}
 """Keywords that the tests ask about"""
 
 Call = tuple[str, dict[str, str]]
-"""A call's function and those of its keywords, as they are written"""
+"""Function of a call and the keywords of ``TOLD``, as they are written"""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Module:
     """What one module reaches for."""
 
     imports: tuple[str, ...]
-    """At its top or later; ``from a import b`` is ``a.b``"""
+    """Imports at its top or later; ``from a import b`` is ``a.b``"""
     calls: tuple[Call, ...]
 
 

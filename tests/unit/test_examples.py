@@ -169,7 +169,7 @@ def test_the_ros_node_publishes_poses_stamped_with_the_capture_time(
 
 
 def pose_yaw_deg(pose: Any) -> float:
-    """Of a quaternion about z."""
+    """Yaw in degrees of a quaternion about z."""
     return math.degrees(2 * math.atan2(pose.orientation.z, pose.orientation.w))
 
 

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.costs
 
 SQUARE = preset("respeaker-usb-4mic-v2")
 LINEAR, QUADRATIC = 1.25, 2.2
-"""Exponents, with room for noise"""
+"""Largest exponents, with room for noise"""
 RUNS = 3
 
 
@@ -49,7 +49,7 @@ def least_s(work: Callable[[], object]) -> float:
 
 
 def exponent(sizes: Sequence[float], times: Sequence[float]) -> float:
-    """Of the power law through them, by least squares of the logarithms."""
+    """Exponent of the power law through points, by least squares of the logarithms."""
     return float(np.polyfit(np.log(sizes), np.log(times), 1)[0])
 
 

@@ -1,7 +1,7 @@
 """The command line ``neuralmusic``: one module per command.
 
 A command module has ``NAME``, ``SUMMARY``, ``configure(parser)`` and ``run(args) -> int``. It
-imports what it needs inside of functions, so that ``--help`` is quick and ``check`` runs without
+imports its needs inside functions, so that ``--help`` is quick and ``check`` runs without
 onnxruntime; only the chosen command is configured. ``stream`` and ``arrays`` are this package's
 own; further ones are entry points of the group ``neuralmusic.commands``.
 
@@ -26,7 +26,7 @@ READER_GONE = 141  # 128 + SIGPIPE
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command and give its exit code; no error of the user's ends in a traceback."""
+    """Run a command and return its exit code; a user's error never ends in a traceback."""
     words = sys.argv[1:] if argv is None else list(argv)
     for printed in (sys.stdout, sys.stderr):
         if hasattr(printed, "reconfigure"):
@@ -45,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except DoaError as error:
         return _fail(error.detail)
     except BrokenPipeError:
-        # What is left in the buffer would raise again when the interpreter flushes it at its end.
+        # The rest of the buffer would raise again when the interpreter flushes it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return READER_GONE
     except OSError as error:
@@ -61,7 +61,7 @@ def _fail(sentence: str) -> int:
 
 
 def _parser(chosen: str | None, missing: Sequence[str]) -> argparse.ArgumentParser:
-    """The parser with the options of the one command that was chosen."""
+    """The parser with the options of the chosen command alone."""
     parser = argparse.ArgumentParser(
         prog="neuralmusic",
         description="Sound source localization: from microphone array audio to directions.",

@@ -1,4 +1,4 @@
-"""``HOST:PORT`` as flags take it."""
+"""``HOST:PORT`` in flags."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from neuralmusic.errors import InvalidOption
 
 @dataclass(frozen=True)
 class Address:
-    """Where another program listens."""
+    """An address on which another program listens."""
 
     host: str
     port: int
 
     @property
     def text(self) -> str:
-        """``HOST:PORT``, as it was given."""
+        """``HOST:PORT`` as the user gave it."""
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
 
 

@@ -1,4 +1,4 @@
-"""The commands that are installed: this package's own, and those that entry points name."""
+"""The installed commands: this package's own, and those that entry points name."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Protocol
 from neuralmusic.cli import arrays, stream
 
 GROUP = "neuralmusic.commands"
-"""Entry points of this group name modules with commands"""
+"""Group of entry points that name modules with commands"""
 OF_THE_SERVICE = ("serve", "localize", "batch", "check", "noise", "bundle", "bench", "key")
-"""What ``neuralmusic-service`` adds"""
+"""Commands that ``neuralmusic-service`` adds"""
 INSTALLING = "pip install ./client . in the project's folder, with Python 3.11 or newer"
 
 
@@ -31,14 +31,14 @@ class Command(Protocol):
 
 
 def installed_commands() -> dict[str, Command]:
-    """Every command by its name, the service's first."""
+    """Every command by name, the service's first."""
     found: dict[str, Command] = {point.name: point.load() for point in _entry_points()}
     ordered = sorted(found, key=lambda name: (*OF_THE_SERVICE, name).index(name))
     return {**{name: found[name] for name in ordered}, stream.NAME: stream, arrays.NAME: arrays}
 
 
 def missing_commands() -> list[str]:
-    """The service's commands, where its package is not installed."""
+    """The service's commands that are not installed."""
     found = {point.name for point in _entry_points()}
     return [name for name in OF_THE_SERVICE if name not in found]
 

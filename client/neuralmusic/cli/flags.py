@@ -22,7 +22,7 @@ NAMES = (
     "yaw_deg",
     "exclude_deg",
 )
-"""The flags that are options of the HTTP interface, besides the array"""
+"""Flags that are options of the HTTP interface, besides the array"""
 
 
 class Arguments(Protocol):
@@ -56,8 +56,8 @@ def add_key(parser: Arguments) -> None:
     parser.add_argument(
         "--key",
         metavar="KEY|@FILE",
-        help="the service's key; safer from other users of this machine: @FILE that holds it, or "
-        "the variable NEURALMUSIC_KEY",
+        help="the service's key; other users of this machine do not see it as @FILE or in the "
+        "variable NEURALMUSIC_KEY",
     )
 
 
@@ -74,12 +74,12 @@ def given_key(argument: str | None) -> str | None:
 
 
 def add_choices(parser: Arguments) -> None:
-    """``--method``, ``--model`` and the like, which recordings and streams share."""
+    """``--method``, ``--model`` and further flags that recordings and streams share."""
     add = parser.add_argument
     add("--method", choices=METHODS, help="neural where a model fits the array")
     add("--model", metavar="NAME", help="the model bundle")
     add("--num-sources", metavar="M", help="the known number of sources")
-    add("--max-sources", metavar="M", help="most sources, where it is estimated")
+    add("--max-sources", metavar="M", help="most sources, where their number is estimated")
     add("--yaw", dest="yaw_deg", metavar="DEGREES", help="how far the array is turned on the robot")
     add(
         "--exclude",
@@ -102,7 +102,7 @@ def array_text(argument: str) -> str:
 
 
 def given_options(args: argparse.Namespace) -> dict[str, str]:
-    """The options that were given, by the HTTP interface's names and as its text."""
+    """The given options, with the names and texts of the HTTP interface."""
     flags = {name: getattr(args, name, None) for name in NAMES}
     given = {name: text for name, text in flags.items() if text is not None}
     if "exclude_deg" in given:

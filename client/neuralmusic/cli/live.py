@@ -1,4 +1,4 @@
-"""A stream from a source of audio to the outputs: two threads, and Ctrl-C ends it in order."""
+"""A stream from a source of audio to the outputs: two threads, ended gracefully by Ctrl-C."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from neuralmusic.streams.stream import StreamClient
 
 INTERRUPTED = 130
 STOP_TIMEOUT_S = 5.0
-"""Seconds of silence after Ctrl-C before the service is left alone"""
+"""Seconds to wait for the service's last messages after Ctrl-C"""
 
 
 def follow(stream: StreamClient, source: AudioSource, show: Callable[[StreamEvent], None]) -> int:
-    """Feed an open stream and show what the service says until it ends.
+    """Feed an open stream and show the service's messages until it ends.
 
     Returns
     -------
     code : int
-        0, or 130 where the user interrupted it; its last results are shown all the same.
+        0, or 130 where the user interrupted it; the last results are shown in both cases.
 
     Raises
     ------
@@ -39,7 +39,7 @@ def follow(stream: StreamClient, source: AudioSource, show: Callable[[StreamEven
         except Exception as failure:
             failures.append(failure)
         if not stopping.is_set():
-            with suppress(DoaError):  # whoever reads gets it
+            with suppress(DoaError):  # the reader gets it
                 stream.stop()
 
     feeder = threading.Thread(target=feed, name="neuralmusic-feed")
@@ -67,7 +67,7 @@ def follow(stream: StreamClient, source: AudioSource, show: Callable[[StreamEven
 
 @contextmanager
 def _interrupts() -> Iterator[threading.Event]:
-    """What Ctrl-C sets before it raises: an exception inside of a destructor would be lost."""
+    """An event that Ctrl-C sets before it raises: an exception in a destructor would be lost."""
     interrupted = threading.Event()
 
     def note(*_: object) -> None:

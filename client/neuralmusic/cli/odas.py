@@ -15,7 +15,7 @@ from neuralmusic.protocol.server_messages import OdasPotential, OdasSource, Odas
 from neuralmusic.streams.inbox import StreamEvent
 
 PLACES = 4
-"""Sources of every object; those not in use have the id 0"""
+"""Number of sources in every object; unused ones have the id 0"""
 SEND_TIMEOUT_S = 1.0
 
 EMPTY_SOURCE = OdasSource(id=0, tag="", x=0.0, y=0.0, z=0.0, activity=0.0)
@@ -52,18 +52,18 @@ def _object(time_stamp: int, lines: Sequence[str]) -> str:
 
 
 class OdasConnection:
-    """Objects of one kind to a program that listens, as ODAS itself connects to it.
+    """Sends objects of one kind to a program that listens, as ODAS itself does.
 
     Parameters
     ----------
     option : str
-        The flag, for the error.
+        The flag, named in errors.
     address : Address
-        Where the program listens.
+        The address on which the program listens.
     kind : type
         ``OdasSst`` or ``OdasSsl``.
     say : callable
-        Is told where the program goes away.
+        Called with a line when the program goes away.
 
     Raises
     ------
@@ -91,12 +91,12 @@ class OdasConnection:
             ) from None
 
     def show(self, event: StreamEvent) -> None:
-        """Write an object of the kind; a reader that went away or is stuck is left alone."""
+        """Write an object of the kind; nothing more goes to a reader that is gone or stuck."""
         if self._lost or not isinstance(event, self._kind):
             return
         try:
             self._socket.sendall(odas_text(event).encode())
-        except OSError as error:  # a timeout, too: half an object was written then
+        except OSError as error:  # a timeout, too, after half an object
             self._lost = True
             self._socket.close()
             self._say(f"{self._name}: the reader is gone ({error.strerror or error})")

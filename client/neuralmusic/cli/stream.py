@@ -39,7 +39,7 @@ SUMMARY = "stream a recording or a microphone array to a running service"
 URL = "http://127.0.0.1:8000"
 OUTPUTS = ("table", "jsonl", "csv", "odas")
 PIPE = Path("-")
-"""The FILE that stands for standard input"""
+"""FILE that stands for standard input"""
 READERS: dict[str, Callable[[str], Any]] = {
     "channel_map": read_channel_map,
     "model": str,
@@ -49,7 +49,7 @@ READERS: dict[str, Callable[[str], Any]] = {
     "yaw_deg": partial(read_number, low=-360, high=360),
     "exclude_deg": read_sectors,
 }
-"""How the text of a flag is read"""
+"""Readers of the flags' texts"""
 OF_START = ("channel_map", "method", "model")
 """Options that are fields of ``start``; the others belong to its ``output``"""
 
@@ -73,9 +73,9 @@ def _add_source(parser: argparse.ArgumentParser) -> None:
     add("--realtime", action="store_true", help="send the file as fast as it was recorded")
     add("--device", metavar="NAME", help="record from this device instead of a file")
     add("--list-devices", action="store_true", help="list the devices that record")
-    add("--sample-rate", type=int, metavar="HZ", help="of standard input, or of the device")
-    add("--encoding", choices=tuple(SAMPLE_BYTES), help="of standard input")
-    add("--channels", type=int, metavar="N", help="of standard input")
+    add("--sample-rate", type=int, metavar="HZ", help="rate of standard input, or of the device")
+    add("--encoding", choices=tuple(SAMPLE_BYTES), help="samples on standard input")
+    add("--channels", type=int, metavar="N", help="channels on standard input")
     add_array(group, required=False)  # --list-devices needs none
     add_channel_map(group)
 
@@ -84,7 +84,7 @@ def _add_session(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("session")
     add = group.add_argument
     add("--url", default=URL, help=f"the service (default: {URL})")
-    add("--wait", type=float, default=0.0, metavar="SECONDS", help="wait for it this long")
+    add("--wait", type=float, default=0.0, metavar="SECONDS", help="wait for the service this long")
     add_key(group)
     add_choices(group)
     add("--interval-ms", type=int, metavar="MS", help="audio between results (default: 100)")
@@ -115,13 +115,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Combinations that make no sense, before anything is opened."""
+    """Refuse combinations that make no sense, before anything is opened."""
     if (args.file is None) == (args.device is None):
         raise InvalidOption("give a FILE, or record with --device NAME (see --list-devices)")
     if args.array is None:
         raise InvalidOption("give the --array (neuralmusic arrays lists the presets)")
     if args.realtime and (args.device is not None or args.file == PIPE):
-        raise InvalidOption("--realtime is for files: all else is always in real time")
+        raise InvalidOption("--realtime is for files: other audio is always in real time")
     raw = (args.encoding, args.channels)
     if args.file == PIPE:
         if None in (*raw, args.sample_rate):
@@ -132,7 +132,7 @@ def _check(args: argparse.Namespace) -> None:
         raise InvalidOption("--ssl goes with --output odas")
     rows = args.output == "csv" or (args.save is not None and args.save.suffix == ".csv")
     if _odas(args) and rows:
-        raise InvalidOption("CSV holds results, and ODAS' objects take their place: run it twice")
+        raise InvalidOption("CSV holds results, which ODAS' objects replace: run the command twice")
 
 
 def _odas(args: argparse.Namespace) -> bool:
@@ -154,7 +154,7 @@ def _source(args: argparse.Namespace) -> AudioSource:
 
 
 def _devices() -> str:
-    """The devices that record, as ``--device`` takes them."""
+    """The devices that record, for ``--device``."""
     from neuralmusic.cli.words import columns
     from neuralmusic.sources.microphone import recording_devices
 
@@ -173,7 +173,7 @@ def _devices() -> str:
 
 
 def _stream(args: argparse.Namespace, source: AudioSource) -> StreamClient:
-    """The stream that was asked for, not yet open; channels are the service's to choose."""
+    """The requested stream, not yet open; the service chooses channels."""
     from neuralmusic.streams.stream import StreamClient
 
     given = given_options(args)
@@ -198,13 +198,13 @@ def _stream(args: argparse.Namespace, source: AudioSource) -> StreamClient:
 
 
 def _array(text: str) -> Any:
-    """A preset's name, or the geometry of a JSON text; the service judges both."""
+    """A preset's name, or the geometry of a JSON text; the service checks both."""
     if not text.lstrip().startswith(("{", "[")):
         return text.strip()
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InvalidOption(f"--array is no valid JSON ({error})") from None
+        raise InvalidOption(f"--array is not valid JSON ({error})") from None
 
 
 def _follow(args: argparse.Namespace, stream: StreamClient, source: AudioSource) -> int:
@@ -224,7 +224,7 @@ def _follow(args: argparse.Namespace, stream: StreamClient, source: AudioSource)
 
 
 def _outputs(args: argparse.Namespace) -> tuple[Outputs, bool]:
-    """Everything that was asked for, and whether a table for people is among it."""
+    """The requested outputs, and whether a table for people is one of them."""
     from neuralmusic.cli import stream_outputs as to
     from neuralmusic.cli.addresses import read_address
     from neuralmusic.cli.odas import OdasConnection
@@ -258,7 +258,7 @@ def _outputs(args: argparse.Namespace) -> tuple[Outputs, bool]:
 
 
 def _table() -> Output:
-    """The live table, or lines where rich is missing, which the extra ``table`` brings."""
+    """The live table, or lines without rich, which the extra ``table`` brings."""
     try:
         from neuralmusic.cli.stream_table import LiveTable
         from neuralmusic.cli.terminal import output

@@ -1,4 +1,4 @@
-"""What ``neuralmusic stream`` prints for people where rich is not installed: lines."""
+"""Lines that ``neuralmusic stream`` prints for people where rich is not installed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from neuralmusic.streams.inbox import StreamEvent
 
 
 class PlainLines(Text):
-    """A line whenever somebody is heard from elsewhere, falls silent or starts to speak."""
+    """A line whenever a source moves, falls silent or starts to speak."""
 
     def __init__(self, file: TextIO) -> None:
         super().__init__(file)

@@ -1,4 +1,4 @@
-"""Where the results of ``neuralmusic stream`` go: text, files, datagrams."""
+"""Outputs of ``neuralmusic stream``: text, files, datagrams."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ MAX_DATAGRAM = 65_507
 
 
 class Output(Protocol):
-    """Shows what the service says."""
+    """Shows the service's messages."""
 
     def show(self, event: StreamEvent) -> None: ...
 
@@ -54,7 +54,7 @@ class Text:
             self._file.flush()  # a robot reads line by line
 
     def text(self, event: StreamEvent) -> str:
-        """What is written of an event; empty where nothing is."""
+        """The text for an event; empty where there is none."""
         raise NotImplementedError
 
     def close(self) -> None:
@@ -115,7 +115,7 @@ class Datagrams:
         if isinstance(event, RESULTS) and len(data := json_line(event).encode()) <= MAX_DATAGRAM:
             try:
                 self._socket.sendto(data, self._address)
-            except OSError:  # nobody listens, or no room: the next one is newer anyway
+            except OSError:  # nobody listens, or no room: the next result is newer anyway
                 return
 
     def close(self) -> None:
@@ -123,7 +123,7 @@ class Datagrams:
 
 
 class Notes:
-    """What is no result, in plain words, line by line."""
+    """Events other than results, in plain words, one per line."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say = say
@@ -157,7 +157,7 @@ class Outputs:
 
 
 def saved(path: Path) -> Output:
-    """A file of results, by its ending."""
+    """A file of results, in the format of its ending."""
     kinds: dict[str, type[JsonLines | CsvRows]] = {".jsonl": JsonLines, ".csv": CsvRows}
     kind = kinds.get(path.suffix.lower())
     if kind is None:
@@ -166,13 +166,13 @@ def saved(path: Path) -> Output:
 
 
 def json_line(event: StreamEvent) -> str:
-    """A result's JSON on one line; what is null is left out."""
+    """A result's JSON on one line; null fields are left out."""
     assert isinstance(event, RESULTS)
     return event.model_dump_json(exclude_none=True)
 
 
 def note(event: StreamEvent) -> str | None:
-    """A line for people about what is no result."""
+    """A line for people about an event other than a result."""
     if isinstance(event, StreamWarning):
         return f"warning: {event.code}: {event.detail}"
     if isinstance(event, Reconnecting):
@@ -188,7 +188,7 @@ def note(event: StreamEvent) -> str | None:
 
 
 def heading(ready: Ready) -> str:
-    """What is in effect, on one line."""
+    """Array, method and noise in effect, on one line."""
     by = f"{ready.model.name} {ready.model.version}" if ready.model else ready.method
     channels = ", ".join(map(str, ready.channel_map))
     noise = f", noise of {ready.noise.name}" if ready.noise else ""

@@ -1,4 +1,4 @@
-"""The table of ``neuralmusic stream``: who is heard from where, as it changes."""
+"""The table of ``neuralmusic stream``: the sources and their directions, live."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ class Row:
 
     id: int
     azimuth: float
-    """Radians"""
+    """Radians, counter-clockwise"""
     confidence: float
     active: bool
 
 
 class LiveTable:
-    """Redrawn with every result; warnings below, each kind once.
+    """A table redrawn with every result, with warnings below, each kind once.
 
     Parameters
     ----------
     console : rich.console.Console
-        Where nothing can be redrawn, only the last state is printed.
+        Where it cannot redraw, only the last state is printed.
     """
 
     def __init__(self, console: Console) -> None:
@@ -45,7 +45,7 @@ class LiveTable:
         self._status = ""
         self._rows: list[Row] = []
         self._notes: dict[str, tuple[str, int]] = {}
-        """By their beginning: the newest and how often"""
+        """Newest note of every kind and its count, by how it begins"""
         self._live = Live(self._drawn(), console=console, auto_refresh=False)
         self._live.start()
 
@@ -81,7 +81,7 @@ class LiveTable:
     def close(self) -> None:
         self._live.stop()
         if not self._console.is_terminal:
-            self._console.print()  # the last state has no newline there
+            self._console.print()  # the last state ends without a newline
 
     def _note(self, event: StreamEvent) -> None:
         words = note(event)

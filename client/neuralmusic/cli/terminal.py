@@ -1,4 +1,4 @@
-"""Tables for people by rich: drawn on a terminal, plain aligned columns in a pipe."""
+"""Tables for people with rich: drawn on a terminal, plain aligned columns in a pipe."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ PIPE_WIDTH = 120  # columns where there is no terminal to ask
 
 
 class Output(Console):
-    """A console whose broken pipe is ``main``'s to answer; rich would exit with 1."""
+    """A console that leaves a broken pipe to ``main``; rich would exit with 1."""
 
     def on_broken_pipe(self) -> None:
         raise BrokenPipeError
 
 
 def output() -> Console:
-    """Standard output as it is now; tests and pipes replace it."""
+    """The present standard output, which tests and pipes replace."""
     console = Output(file=sys.stdout, highlight=False, emoji=False)
     if not console.is_terminal:
         console.width = PIPE_WIDTH
@@ -40,7 +40,7 @@ def table(console: Console, *columns: str, right: tuple[str, ...] = ()) -> Table
 
 
 def line(console: Console, text: str, style: str | None = None) -> None:
-    """Print text as it is: brackets are no markup."""
+    """Print text as it is: brackets are not markup."""
     console.print(escape(text), style=style, soft_wrap=True)
 
 

@@ -1,4 +1,4 @@
-"""Directions, times and columns as the command line words them."""
+"""Directions, times and columns as text for the command line."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ SECTORS = ("front", "front left", "left", "back left", "back", "back right", "ri
 
 
 def sector(azimuth: float) -> str:
-    """The direction in words of an azimuth in radians: 0 is the front, left comes next."""
+    """An azimuth in radians as a direction in words: 0 is the front, left comes next."""
     return SECTORS[round(azimuth / (math.pi / 4)) % len(SECTORS)]
 
 
 def degrees(azimuth: float) -> str:
-    """``45°`` of radians; 359.9 degrees are 0, not 360."""
+    """Radians as ``45°``; 359.9 degrees are 0, not 360."""
     return f"{round(math.degrees(azimuth)) % 360}°"
 
 
 def clock(seconds: float) -> str:
-    """``0:03.5``, or ``1:02:03.5`` from an hour on."""
+    """Seconds as ``0:03.5``, from an hour on as ``1:02:03.5``."""
     tenths = round(seconds * 10)
     minutes, rest = divmod(tenths, 600)
     hours, minutes = divmod(minutes, 60)
@@ -28,7 +28,7 @@ def clock(seconds: float) -> str:
 
 
 def columns(rows: Sequence[Sequence[str]], right: Collection[int] = ()) -> str:
-    """Rows, the first of them the heading, as aligned columns; those in ``right`` to the right."""
+    """Rows, headed by the first, as aligned columns; those in ``right`` to the right."""
     widths = [max(map(len, column)) for column in zip(*rows)]
     lines = (
         "  ".join(

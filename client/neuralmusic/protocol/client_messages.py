@@ -1,4 +1,4 @@
-"""What a client sends: ``start``, then ``update``, ``flush``, ``ping``, ``calibrate``, ``stop``."""
+"""A client's messages: ``start``, then ``update``, ``flush``, ``ping``, ``calibrate``, ``stop``."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ CLIENT_NAME = r"^[A-Za-z0-9._-]{1,64}$"
 
 
 class AudioFormat(Message):
-    """How the binary messages are to be read; there are no silent defaults."""
+    """The format of the binary messages; there are no silent defaults."""
 
     encoding: Encoding
     """Little-endian samples, sample frames interleaved"""
     sample_rate: Annotated[int, Field(ge=4_000, le=384_000)]
-    """Hertz, as the device records: the service resamples"""
+    """Hertz at which the device records; the service resamples"""
     channels: Annotated[int, Field(ge=1, le=64)]
-    """Of every sample frame, the raw microphones' and all others'"""
+    """Channels in every sample frame, raw microphones and all others"""
     header: HeaderKind = "none"
     """`seq_time`: every binary message begins with 16 bytes (u32 flags, u32 sequence, i64 capture
     time in ns), so that lost messages are noticed and results carry the capture time"""
@@ -45,7 +45,7 @@ class ArrayChoice(Message):
     positions_m: Optional[Annotated[list[Position], Field(min_length=2, max_length=32)]] = None
     """Metres, `[x, y, z]` per microphone: x forward, y left, z up"""
     channel_map: Optional[Annotated[list[int], Field(min_length=1, max_length=64)]] = None
-    """The same as `start.channel_map`; give one of them"""
+    """Same as `start.channel_map`; give only one of the two"""
 
 
 class OutputOptions(Message):
@@ -54,15 +54,15 @@ class OutputOptions(Message):
     interval_ms: Annotated[int, Field(ge=MIN_INTERVAL_MS, le=MAX_INTERVAL_MS)] = 100
     """Milliseconds of audio between results"""
     max_sources: Annotated[int, Field(ge=1, le=4)] = 3
-    """At most this many per result"""
+    """Most sources in a result"""
     num_sources: Optional[Annotated[int, Field(ge=1, le=4)]] = None
     """The known number of sources, excluded ones included; null lets the service count"""
     include: tuple[Include, ...] = ()
     """`spectrum` adds 360 values of the spatial spectrum to every result"""
     format: OutputFormat = "doa"
-    """`odas` sends ODAS' SSL and SST objects (`ssl` and `sst`) in the place of `result`"""
+    """`odas` sends ODAS' SSL and SST objects (`ssl` and `sst`) instead of `result`"""
     yaw_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
-    """Degrees that the array is turned on the robot, counter-clockwise: added to every azimuth"""
+    """Degrees by which the array is turned counter-clockwise on the robot; azimuths include it"""
     exclude_deg: Annotated[tuple[Sector, ...], Field(max_length=16)] = ()
     """Sectors `[from, to]` in degrees, counter-clockwise, after the yaw offset, in which nothing
     is reported: a loudspeaker, a wall, the robot's own motor"""
@@ -79,7 +79,7 @@ class OutputOptions(Message):
 
 
 class OutputUpdate(OutputOptions):
-    """The output options that change; those left out stay."""
+    """The output options to change; the others stay."""
 
 
 class Start(Message):
@@ -89,21 +89,21 @@ class Start(Message):
     audio: AudioFormat
     array: ArrayChoice
     channel_map: Optional[Annotated[list[int], Field(min_length=1, max_length=64)]] = None
-    """The stream's channel of every microphone, from 0; without it as many channels as microphones
-    are taken as they are, and those of the preset's firmware (`raw_channels` of `GET /arrays`) by
-    its layout, with the warning `channel_map_assumed`"""
+    """The stream's channel of every microphone, from 0. Without it, one channel per microphone is
+    taken as it is, and the channels of the preset's firmware are mapped by `raw_channels` of `GET
+    /arrays`, with the warning `channel_map_assumed`"""
     model: Annotated[str, Field(min_length=1, max_length=64)] = "default"
     """A model's name (`GET /models`); `default` is the first that fits the array"""
     method: Optional[Method] = None
     """Null is `neural` where a model fits the array, else `norm_music`"""
     output: OutputOptions = OutputOptions()
     overflow: Literal["drop_oldest", "block"] = "drop_oldest"
-    """When audio comes faster than it is localized: `drop_oldest` keeps results about now and says
-    what was dropped; `block` loses nothing, for files"""
+    """What happens to audio that comes faster than it is localized: with `drop_oldest` results
+    describe the present and a warning tells what was dropped; `block` loses nothing, for files"""
     client: Optional[Annotated[str, Field(pattern=CLIENT_NAME)]] = None
-    """The robot's name: its noise calibration is kept under it"""
+    """The robot's name, under which its noise calibration is stored"""
     noise: Literal["kept", "none"] = "kept"
-    """`kept` whitens with the noise calibration kept for this client, if there is one"""
+    """`kept` whitens with the noise calibration stored for this client, if there is one"""
 
 
 class Update(Message):
@@ -114,21 +114,21 @@ class Update(Message):
 
 
 class Flush(Message):
-    """Localize what is buffered now; a `flushed` follows the last of these results."""
+    """Localize the buffered audio now; a `flushed` follows the last of these results."""
 
     type: Literal["flush"]
 
 
 class Ping(Message):
-    """Ask for a `pong`; it keeps an idle session open."""
+    """Ask for a `pong`, which also keeps an idle session open."""
 
     type: Literal["ping"]
     id: Optional[Annotated[int, Field(ge=0, le=2**53)]] = None
-    """Comes back in the `pong`"""
+    """Number that the `pong` repeats"""
 
 
 class Calibrate(Message):
-    """Learn the robot's own noise from the audio that follows: nobody may speak meanwhile."""
+    """Learn the robot's own noise from the audio that follows; nobody may speak meanwhile."""
 
     type: Literal["calibrate"]
     kind: Literal["noise"]
@@ -151,5 +151,5 @@ _TYPES = [message_type(message) for message in CLIENT_MESSAGES]
 
 
 def read_client_message(text: str | bytes) -> AnyClientMessage:
-    """A client's message from its JSON, or InvalidMessage with a sentence that names the field."""
+    """A client's message from its JSON, or InvalidMessage, which names the field."""
     return read_message(text, _ADAPTER, _TYPES)

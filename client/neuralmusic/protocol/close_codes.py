@@ -10,7 +10,7 @@ from enum import IntEnum
 
 
 class CloseCode(IntEnum):
-    """Why a connection ended; ``REASONS`` says it in words."""
+    """Why a connection ended; ``REASONS`` has the words."""
 
     DONE = 1000
     BINARY_BEFORE_START = 1003
@@ -35,11 +35,11 @@ REASONS: Mapping[CloseCode, str] = {
     CloseCode.DRAINING: "the service is shutting down",
     CloseCode.OVERLOADED: "the service is full",
     CloseCode.INVALID_MESSAGE: "a message was wrong; its `error` says what",
-    CloseCode.UNAUTHORIZED: "the key was taken away, has expired or lost its role",
+    CloseCode.UNAUTHORIZED: "the key was removed, has expired or lost its role",
     CloseCode.TIMEOUT: "nothing came, or nothing was read, for too long",
     CloseCode.SESSION_LIMIT: "the session reached its longest duration",
     CloseCode.TOO_MANY_SESSIONS: "this client has too many sessions, or its key's audio is used up",
 }
 
 RETRYABLE = frozenset({1001, 1005, 1006, 1011, 1012, 1013, 1015})
-"""Codes after which the same session may succeed later; never 4xxx"""
+"""Codes after which the same session may succeed later; 4xxx are never among them"""

@@ -1,4 +1,4 @@
-"""Angles as they are sent; inside, everything is radians."""
+"""Angles in degrees as they are sent; all computation is in radians."""
 
 from __future__ import annotations
 

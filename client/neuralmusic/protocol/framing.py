@@ -16,25 +16,25 @@ SAMPLE_BYTES: dict[Encoding, int] = {
     "pcm_f32le": 4,
 }
 HEADER = struct.Struct("<IIq")
-"""u32 flags, u32 sequence, i64 capture time in nanoseconds; little endian, 16 bytes"""
+"""Little-endian u32 flags, u32 sequence, i64 capture time in nanoseconds; 16 bytes"""
 SEQUENCE_MODULUS = 2**32
 NANOSECONDS = 1_000_000_000
-"""Of a second: the unit of capture times"""
+"""Nanoseconds in a second; capture times are in nanoseconds"""
 
 
 @dataclass(frozen=True)
 class FrameHeader:
-    """What precedes the audio of one binary message with ``header: "seq_time"``."""
+    """The header of a binary message with ``header: "seq_time"``."""
 
     sequence: int
-    """Counts binary messages, modulo 2^32; a missing number is a gap"""
+    """Number of the binary message, modulo 2^32; a missing number is a gap"""
     capture_time_ns: int
-    """When the first sample frame of the message was captured, by the robot's clock"""
+    """Capture time of the message's first sample frame, by the robot's clock"""
     flags: int = 0
     """Reserved, zero"""
 
     def pack(self) -> bytes:
-        """The 16 bytes."""
+        """The 16 bytes of the header."""
         return HEADER.pack(self.flags, self.sequence % SEQUENCE_MODULUS, self.capture_time_ns)
 
     @classmethod

@@ -1,4 +1,4 @@
-"""What all messages share: strict fields, and errors that name the field."""
+"""The base of all messages: strict fields, and errors that name the field."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from neuralmusic.errors import InvalidMessage, InvalidOption
 
 M = TypeVar("M")
 SHOWN = 60
-"""Characters of a client's value that an error repeats"""
+"""Most characters of a client's value that an error repeats"""
 
 
 class Message(BaseModel):
@@ -37,14 +37,14 @@ def read_message(text: str | bytes, adapter: TypeAdapter[M], known: list[str]) -
     Parameters
     ----------
     adapter : TypeAdapter
-        Of a union of messages told apart by their ``type``.
+        Adapter of a union of messages with distinct ``type``.
     known : list of str
-        Its types, for the error.
+        The types of the union, for the error.
 
     Raises
     ------
     InvalidMessage
-        If it is no JSON, or a field is unknown, missing or out of range.
+        If it is not JSON, or a field is unknown, missing or out of range.
     """
     try:
         return adapter.validate_json(text)
@@ -56,7 +56,7 @@ def _sentence(error: ErrorDetails, known: list[str]) -> str:
     kind, context = error["type"], error.get("ctx", {})
     place = ".".join(str(part) for part in error["loc"])
     if kind == "json_invalid":
-        return f"the message is no valid JSON ({str(context.get('error', ''))[:SHOWN]})"
+        return f"the message is not valid JSON ({str(context.get('error', ''))[:SHOWN]})"
     if kind == "union_tag_not_found":
         return f"the message has no type: it is one of {', '.join(known)}"
     if kind == "union_tag_invalid":
@@ -65,7 +65,7 @@ def _sentence(error: ErrorDetails, known: list[str]) -> str:
     if kind in ("model_type", "model_attributes_type"):
         return f"{place or 'the message'} must be a JSON object"
     if kind == "extra_forbidden":
-        return f"{place[:SHOWN]} is no field of this message: check its spelling"
+        return f"{place[:SHOWN]} is not a field of this message: check its spelling"
     if kind == "missing":
         return f"{place} is missing"
     if kind == "value_error":

@@ -1,4 +1,4 @@
-"""The methods of localization, by the names that every interface takes."""
+"""Names of the localization methods, the same in every interface."""
 
 from __future__ import annotations
 

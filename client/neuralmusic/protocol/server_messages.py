@@ -1,4 +1,4 @@
-"""What the server sends: every message has a ``type`` and a ``seq`` that counts from 0."""
+"""Messages of the server: each has a ``type`` and a ``seq`` that counts from 0."""
 
 from __future__ import annotations
 
@@ -43,22 +43,22 @@ class ServerMessage(Part):
     """Any message of the server."""
 
     seq: int
-    """Counts the server's messages of a session from 0; a missing number is a result that was
-    dropped since the client did not read"""
+    """Number of the message in the session, from 0; a missing number is a result that was dropped
+    because the client did not read"""
 
 
 class StreamModel(Part):
-    """The bundle that answers."""
+    """The bundle in use."""
 
     name: str
     version: str
     variant: str
     sha256: str
-    """Of its `bundle.json`"""
+    """Hash of its `bundle.json`"""
 
 
 class StreamArray(Part):
-    """The array as it is used."""
+    """The array in use."""
 
     name: str
     positions_m: list[list[float]]
@@ -70,24 +70,24 @@ class Timing(Part):
 
     interval_ms: int
     window_ms: float
-    """Milliseconds of audio that a result looks back on"""
+    """Milliseconds of audio behind a result"""
     algorithmic_latency_ms: float
-    """Milliseconds of audio that must follow an event's beginning before a result can hold it,
-    on average: half an interval and the frame that must be complete"""
+    """Mean milliseconds of audio after an event's beginning before a result can hold it: half an
+    interval and one complete frame"""
     sample_rate: int
-    """Hertz that the stream is resampled to"""
+    """Hertz to which the stream is resampled"""
 
 
 class Limits(Part):
-    """What a session may do."""
+    """Limits of the session."""
 
     max_message_bytes: int
     buffer_ms: int
-    """Milliseconds of audio that wait at most; older audio is dropped"""
+    """Most milliseconds of audio that wait; older audio is dropped"""
     idle_timeout_s: float
-    """Seconds without any message until the session ends"""
+    """Seconds without any message after which the session ends"""
     max_session_s: float
-    """Seconds until the session ends"""
+    """Longest session in seconds"""
 
 
 class NoiseInUse(Part):
@@ -96,7 +96,7 @@ class NoiseInUse(Part):
     name: str
     """The client's name"""
     seconds: float
-    """Seconds of noise that it was learnt from"""
+    """Seconds of noise behind the calibration"""
 
 
 class Ready(ServerMessage):
@@ -104,15 +104,15 @@ class Ready(ServerMessage):
 
     type: Literal["ready"] = "ready"
     session: str
-    """The session's id, as in `GET /sessions`"""
+    """Id of the session, as in `GET /sessions`"""
     model: Optional[StreamModel]
-    """Null where a classical method answers"""
+    """The bundle in use; null with a classical method"""
     method: Method
     array: StreamArray
     channel_map: list[int]
     """The stream's channel of every microphone, from 0"""
     convention: str
-    """How azimuths count"""
+    """Convention of azimuths in words"""
     timing: Timing
     limits: Limits
     noise: Optional[NoiseInUse] = None
@@ -122,7 +122,7 @@ class StreamSource(Part):
     """One tracked source."""
 
     id: int
-    """Stable while the source is tracked, never used again"""
+    """Identity of the source, stable while it is tracked and never used again"""
     azimuth_deg: float
     """Degrees in [0, 360), counter-clockwise from +x, yaw offset included"""
     elevation_deg: None = None
@@ -140,7 +140,7 @@ class StreamSource(Part):
 
 
 class Result(ServerMessage):
-    """Where the sounds come from now."""
+    """The directions of sound at present."""
 
     type: Literal["result"] = "result"
     t_start: float
@@ -180,11 +180,11 @@ class OdasSource(Part):
     y: float
     z: float
     activity: float
-    """0 to 1"""
+    """Activity of the source, 0 to 1"""
 
 
 class OdasSsl(ServerMessage):
-    """ODAS' SSL object, four directions, in the place of a result."""
+    """ODAS' SSL object, four directions, instead of a result."""
 
     type: Literal["ssl"] = "ssl"
     timeStamp: int
@@ -193,7 +193,7 @@ class OdasSsl(ServerMessage):
 
 
 class OdasSst(ServerMessage):
-    """ODAS' SST object, four tracks, in the place of a result."""
+    """ODAS' SST object, four tracks, instead of a result."""
 
     type: Literal["sst"] = "sst"
     timeStamp: int
@@ -202,27 +202,27 @@ class OdasSst(ServerMessage):
 
 
 class StreamWarning(ServerMessage):
-    """Something that the robot's developer should know; the session goes on."""
+    """Something that the robot's developer should know; the session continues."""
 
     type: Literal["warning"] = "warning"
     code: WarningCode
     detail: str
     """What happened, and what to do"""
     channels: tuple[int, ...] = ()
-    """The stream's channels that it is about"""
+    """Channels of the stream that are concerned"""
     duration_ms: Optional[float] = None
-    """Milliseconds of audio that were dropped or are missing"""
+    """Milliseconds of dropped or missing audio"""
 
 
 class Stats(ServerMessage):
-    """How the session is doing, every few seconds."""
+    """Figures of the session, every few seconds."""
 
     type: Literal["stats"] = "stats"
     audio_s: float
     """Seconds of audio received"""
     results: int
     dropped_s: float
-    """Seconds of audio dropped since the server or the network was too slow"""
+    """Seconds of audio dropped because the server or the network was too slow"""
     gap_s: float
     """Seconds of audio missing by the sequence numbers"""
     results_dropped: int
@@ -230,7 +230,7 @@ class Stats(ServerMessage):
     lag_ms: float
     """Mean lag of the results since the last `stats`"""
     buffered_ms: float
-    """Milliseconds of audio that wait now"""
+    """Milliseconds of waiting audio"""
 
 
 class Flushed(ServerMessage):
@@ -254,8 +254,8 @@ class Calibrated(ServerMessage):
     type: Literal["calibrated"] = "calibrated"
     kind: Literal["noise"] = "noise"
     name: Optional[str]
-    """The client's name under which it is kept (`GET /noise/{name}`); null where `start` named no
-    client: it then ends with the session"""
+    """Client's name under which the calibration is stored (`GET /noise/{name}`); null where `start`
+    names no client: the calibration then ends with the session"""
     seconds: float
 
 
@@ -264,7 +264,7 @@ class StreamError(ServerMessage):
 
     type: Literal["error"] = "error"
     code: str
-    """For programs; `docs/errors.md` lists them"""
+    """Stable identifier for programs; `docs/errors.md` lists them"""
     title: str
     detail: str
     """What happened, and what to do"""
@@ -274,11 +274,11 @@ class StreamError(ServerMessage):
 
 
 class Closing(ServerMessage):
-    """The server ends the session in an orderly way; the close frame follows."""
+    """The server ends the session without an error; the close frame follows."""
 
     type: Literal["closing"] = "closing"
     code: str
-    """`done` or `draining`; `vanished` to those who watch a session whose client is gone"""
+    """`done` or `draining`; watchers of a session get `vanished` when its client is gone"""
     detail: str
     close_code: int
 
@@ -288,12 +288,12 @@ class TrackSummary(Part):
 
     id: int
     azimuth_deg: float
-    """The last"""
+    """Last azimuth in degrees"""
     first_s: float
     """Seconds of audio from the session's start"""
     last_s: float
     active_s: float
-    """Seconds of audio in which it was heard"""
+    """Seconds of audio in which the source was heard"""
 
 
 class Summary(ServerMessage):
@@ -305,9 +305,9 @@ class Summary(ServerMessage):
     dropped_s: float
     gap_s: float
     sources: list[TrackSummary]
-    """The last 256, longest heard first"""
+    """The last 256 sources, longest heard first"""
     warnings: dict[str, int]
-    """How often each was given"""
+    """Count of every warning by code"""
 
 
 SERVER_MESSAGES: tuple[type[ServerMessage], ...] = (
@@ -327,7 +327,7 @@ SERVER_MESSAGES: tuple[type[ServerMessage], ...] = (
 ODAS_HOP_S = 0.008
 """Seconds of a hop, the unit of ODAS' ``timeStamp``"""
 RESULTS = (Result, OdasSsl, OdasSst)
-"""Messages that say where sounds come from: of a client that lags behind, old ones are dropped"""
+"""Messages with directions; old ones are dropped for a client that reads too slowly"""
 AnyServerMessage = Union[
     Ready,
     Result,
@@ -349,5 +349,5 @@ _TYPES = [message_type(message) for message in SERVER_MESSAGES]
 
 
 def read_server_message(text: str | bytes) -> AnyServerMessage:
-    """A server's message from its JSON, for clients, or InvalidMessage."""
+    """A server's message from its JSON, for clients; raises InvalidMessage."""
     return read_message(text, _ADAPTER, _TYPES)

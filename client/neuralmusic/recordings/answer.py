@@ -1,4 +1,4 @@
-"""What the service answered, whichever library asked it."""
+"""An answer of the service, independent of the HTTP library."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ class Answered:
     """One HTTP answer."""
 
     url: str
-    """The address that was asked"""
+    """Address of the request"""
     status: int
     reason: str
-    """The words beside the status"""
+    """Reason phrase of the status"""
     body: bytes
     retry_after: str | None
-    """The header ``Retry-After``"""
+    """Header ``Retry-After``"""
 
     def document(self, key: str) -> Answer:
-        """The JSON object of the answer, which has this key.
+        """The JSON object of the answer, which must have this key.
 
         Raises
         ------
         ServiceProblem
             If the service refused.
         InvalidOption
-            If it is another server that answers.
+            If another server answers.
         """
         if not 200 <= self.status < 300:
             raise ServiceProblem.answered(self.status, self.reason, self.body, self.retry_after)
@@ -48,6 +48,6 @@ class Answered:
         return document
 
     def listed(self, name: str) -> list[Answer]:
-        """The list of an answer that holds it under its name; raises as ``document``."""
+        """The list under a name in the answer; raises as ``document``."""
         found: list[Answer] = self.document(name)[name]
         return found

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from neuralmusic.recordings.http import AsyncHttp, Http
 
 TIMEOUT_S = 300.0
-"""Seconds that a long recording may take"""
+"""Default seconds to wait for an answer, enough for a long recording"""
 
 
 class LocalizationClient:
@@ -92,9 +92,9 @@ class LocalizationClient:
         window_s, hop_s : float, optional
             Seconds of audio per result, and from one result to the next.
         yaw_deg : float, optional
-            Degrees that the array is turned on the robot, counter-clockwise.
+            Degrees by which the array is turned on the robot, counter-clockwise.
         exclude_deg : sequence of pairs, optional
-            Sectors from and to, in degrees, in which nothing is reported.
+            Sectors (from, to) in degrees in which nothing is reported.
         noise : str, optional
             A stored profile of the robot's own noise.
         spectrum : bool, optional
@@ -103,13 +103,13 @@ class LocalizationClient:
         Returns
         -------
         answer : dict
-            As ``POST /localize`` is documented: ``answer["summary"]["sources"]``,
+            The documented answer of ``POST /localize``: ``answer["summary"]["sources"]``,
             ``answer["windows"]``, ``answer["warnings"]``.
 
         Raises
         ------
         ServiceProblem
-            If the service refuses it; ``code`` says why.
+            If the service refuses; ``code`` says why.
         ServiceUnreachable
             If nothing answers.
         """
@@ -227,7 +227,7 @@ class AsyncLocalizationClient:
 
 
 def _http() -> Any:
-    """The module of the HTTP library, which streams do without."""
+    """The module of the HTTP library, which streams do not need."""
     try:
         from neuralmusic.recordings import http
     except ImportError:

@@ -18,7 +18,7 @@ Sectors = Union[str, Sequence[Sequence[float]]]
 
 @contextlib.contextmanager
 def opened(recording: Recording) -> Iterator[BinaryIO]:
-    """The recording as a file; a path is opened and closed here."""
+    """The recording as a file; a path is opened and closed."""
     if isinstance(recording, (str, Path)):
         with Path(recording).open("rb") as file:
             yield file
@@ -29,7 +29,7 @@ def opened(recording: Recording) -> Iterator[BinaryIO]:
 
 
 def form_fields(array: Array, options: Mapping[str, Any]) -> dict[str, str]:
-    """The fields beside the recording; None is not sent."""
+    """The form's fields beside the recording, without those that are None."""
     geometry = array if isinstance(array, (str, Mapping)) else {"positions_m": array}
     given = {"array": geometry, **options}
     sectors = given.get("exclude_deg")
@@ -39,5 +39,5 @@ def form_fields(array: Array, options: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _text(value: Any) -> str:
-    """An option as the form has it; what is no text is JSON."""
+    """An option as text for the form; other values become JSON."""
     return value if isinstance(value, str) else json.dumps(value, default=plain)

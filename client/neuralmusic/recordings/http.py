@@ -1,7 +1,7 @@
-"""HTTP through httpx: the one module that knows it.
+"""HTTP through httpx; no other module knows the library.
 
-A successor takes its place here: ``Http`` and ``AsyncHttp`` are all that the clients use of it,
-and the extra ``http`` of ``client/pyproject.toml`` names it.
+To replace it, change this module, whose ``Http`` and ``AsyncHttp`` are all that the clients use,
+and the extra ``http`` of ``client/pyproject.toml``.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ CONNECT_TIMEOUT_S = 10.0
 
 
 class Http:
-    """Requests to one service, whose connections are kept.
+    """Requests to one service over persistent connections.
 
     Parameters
     ----------
     url : str
         ``http(s)://host[:port][/prefix]``.
     headers : dict
-        Sent with every request.
+        Headers of every request.
     timeout_s : float
         Seconds without any byte of an answer after which a request is given up.
     transport : optional
@@ -38,7 +38,7 @@ class Http:
         self._client = httpx.Client(**_settings(url, headers, timeout_s), transport=transport)
 
     def get(self, path: str) -> Answered:
-        """Ask for a document; ServiceUnreachable where nothing answers."""
+        """Get a document; ServiceUnreachable where nothing answers."""
         with _reaching(self._url):
             return _answered(self._client.get(path))
 
@@ -60,7 +60,7 @@ class AsyncHttp:
         self._client = httpx.AsyncClient(**_settings(url, headers, timeout_s), transport=transport)
 
     async def get(self, path: str) -> Answered:
-        """Ask for a document; ServiceUnreachable where nothing answers."""
+        """Get a document; ServiceUnreachable where nothing answers."""
         with _reaching(self._url):
             return _answered(await self._client.get(path))
 
@@ -95,7 +95,7 @@ def _answered(response: httpx.Response) -> Answered:
 
 @contextlib.contextmanager
 def _reaching(url: str) -> Iterator[None]:
-    """Network errors as a sentence."""
+    """Turn network errors into ServiceUnreachable."""
     try:
         yield
     except httpx.TimeoutException:

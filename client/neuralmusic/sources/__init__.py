@@ -1,1 +1,1 @@
-"""Where a stream's audio comes from: files, standard input, microphones."""
+"""Sources of a stream's audio: files, standard input, microphones."""

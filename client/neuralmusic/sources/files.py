@@ -1,4 +1,4 @@
-"""Recordings as sources: WAV files as they are, all others through soundfile."""
+"""Recordings as sources: WAV files as they are, others through soundfile."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from neuralmusic.sources.source import CHUNK_S, Send, paced
 from neuralmusic.wav import WavHeader, read_wav_header
 
 BLOCK_S = 1.0
-"""Seconds of audio read at a time where nothing waits for the clock"""
+"""Seconds of audio read at a time, unless in real time"""
 
 
 class Frames(Protocol):
-    """Sample frames of a file, in their order."""
+    """Sample frames of a file, in order."""
 
     encoding: Encoding
     sample_rate: int
@@ -31,22 +31,22 @@ class Frames(Protocol):
 
 
 class FileSource:
-    """A recording, as fast as the service takes it or as fast as it was recorded.
+    """A recording, sent as fast as the service takes it or in real time.
 
     Parameters
     ----------
     path : Path
     realtime : bool
-        Send it as fast as it was recorded.
+        Send the recording at the pace at which it was recorded.
 
     Raises
     ------
     NotAudio, TruncatedAudio
-        If the file is none, or shorter than its header says.
+        If the file is not audio, or shorter than its header says.
     ConfigError
-        If it needs soundfile, which is not installed.
+        If the file needs soundfile, which is not installed.
     OSError
-        If it cannot be read.
+        If the file cannot be read.
     """
 
     def __init__(self, path: Path, *, realtime: bool) -> None:
@@ -133,7 +133,7 @@ class DecodedFrames:
         try:
             self._file = soundfile.SoundFile(path)
         except soundfile.LibsndfileError as error:
-            raise NotAudio(f"{path} is no audio file that can be read ({error})") from None
+            raise NotAudio(f"{path} is not an audio file that can be read ({error})") from None
         self.sample_rate, self.channels = self._file.samplerate, self._file.channels
 
     def read(self, count: int) -> bytes:

@@ -1,4 +1,4 @@
-"""Audio devices through PortAudio (sounddevice), which is imported only where it is asked for."""
+"""Audio devices through PortAudio (sounddevice), which is imported only on use."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from neuralmusic.sources.source import CHUNK_S, Send
 
 
 def load_sounddevice() -> Any:
-    """The module sounddevice, or ConfigError with what to install."""
+    """The module sounddevice, or ConfigError, which says what to install."""
     try:
         import sounddevice
     except ImportError:
@@ -34,7 +34,7 @@ class Microphone:
     Parameters
     ----------
     name : str
-        A part of its name, or its number, as ``--list-devices`` shows them.
+        The device's number or a part of its name, as ``--list-devices`` shows them.
     sample_rate : int, optional
         Hertz; by default the device's own.
 
@@ -72,7 +72,7 @@ class Microphone:
         def captured(data: Any, frames: int, moment: Any, status: Any) -> None:
             try:
                 send(bytes(data), capture_time_ns(moment))
-            except DoaError:  # the stream has ended: whoever reads it learns why
+            except DoaError:  # the stream has ended: its reader learns why
                 ended.set()
                 raise self._sounddevice.CallbackStop from None
 
@@ -96,10 +96,9 @@ class Microphone:
 
 
 def capture_time_ns(moment: Any) -> int | None:
-    """When the first sample frame of a callback was captured, by the system's clock.
+    """Capture time of a callback's first sample frame by the system's clock, None where unknown.
 
-    PortAudio's own clock has no relation to it, so the age of the audio is taken from now. None
-    where the device does not say.
+    PortAudio's own clock has no relation to the system's: the audio's age is subtracted from now.
     """
     age: float = moment.currentTime - moment.inputBufferAdcTime
     if moment.inputBufferAdcTime <= 0 or not 0 <= age < 10:
@@ -108,6 +107,6 @@ def capture_time_ns(moment: Any) -> int | None:
 
 
 def recording_devices() -> list[tuple[int, dict[str, Any]]]:
-    """PortAudio's devices that record, by the numbers that ``Microphone`` takes."""
+    """PortAudio's devices that record, with their numbers for ``Microphone``."""
     found = enumerate(load_sounddevice().query_devices())
     return [(index, device) for index, device in found if device["max_input_channels"] > 0]

@@ -1,4 +1,4 @@
-"""Raw samples on standard input, as a recorder writes them into a pipe."""
+"""Raw samples on standard input, from a recorder's pipe."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class StandardInput:
     Parameters
     ----------
     encoding : str
-        As ``AudioFormat.encoding``.
+        An encoding of ``AudioFormat``.
     sample_rate : int
         Hertz.
     channels : int
@@ -38,11 +38,11 @@ class StandardInput:
         self._most = max(int(CHUNK_S * sample_rate), 1) * self._frame_bytes
 
     def feed(self, send: Send, stopping: threading.Event) -> None:
-        """Send what comes until the pipe ends or ``stopping`` is set."""
+        """Send samples until the pipe ends or ``stopping`` is set."""
         pipe, held = sys.stdin.buffer.fileno(), b""
         while not stopping.is_set():
             if not select.select([pipe], [], [], CHUNK_S)[0]:
-                continue  # nothing yet: look whether to stop
+                continue  # nothing yet: check whether to stop
             read = os.read(pipe, self._most)
             if not read:
                 return
@@ -53,4 +53,4 @@ class StandardInput:
                 held = held[whole:]
 
     def close(self) -> None:
-        """Leave standard input open: it is the program's."""
+        """Leave standard input open: it belongs to the program."""

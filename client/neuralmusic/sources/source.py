@@ -1,4 +1,4 @@
-"""What every source of audio has in common, and the pace of a recording."""
+"""The interface of every source of audio, and the pace of a recording."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ Send = Callable[..., None]
 
 
 class AudioSource(Protocol):
-    """Where audio comes from."""
+    """A source of audio."""
 
     audio: dict[str, Any]
-    """The fields of ``AudioFormat``"""
+    """Fields of ``AudioFormat``"""
     live: bool
-    """True where audio gets stale when it waits"""
+    """True where waiting audio becomes stale"""
 
     def feed(self, send: Send, stopping: threading.Event) -> None:
-        """Send everything, or until ``stopping`` is set."""
+        """Send all audio, or until ``stopping`` is set."""
 
     def close(self) -> None: ...
 
@@ -33,7 +33,7 @@ def paced(
     wait: Callable[[float], object],
     now: Callable[[], float] = time.monotonic,
 ) -> Iterator[bytes]:
-    """Chunks, each when its last sample frame would have been recorded.
+    """Yield each chunk at the time at which its last sample frame would have been recorded.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def paced(
     bytes_per_second : float
         Bytes of a second of audio, all channels.
     wait, now : callable
-        Wait for, and tell, seconds.
+        Wait for a number of seconds; tell the time in seconds.
     """
     start, done = now(), 0
     for chunk in chunks:

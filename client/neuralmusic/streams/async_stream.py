@@ -1,4 +1,4 @@
-"""A stream for asyncio: audio goes in, directions come out, and the connection looks after itself.
+"""A stream for asyncio: audio goes in, directions come out, and lost connections are renewed.
 
 ::
 
@@ -26,7 +26,7 @@ from neuralmusic.streams.inbox import StreamEvent
 
 
 class AsyncStreamClient(StreamControls):
-    """A stream that reconnects; iterating yields what the service says."""
+    """A stream that reconnects; iterating yields the service's messages."""
 
     async def open(self) -> Self:
         """Connect and wait for ``ready``.
@@ -36,13 +36,13 @@ class AsyncStreamClient(StreamControls):
         ServiceUnreachable
             If nothing answers, within ``wait_s`` where that is given.
         StreamRefused
-            If the service says no.
+            If the service refuses.
         """
         await self._sessions.open()
         return self
 
     async def close(self) -> None:
-        """End the connection at once, without the last results; again does nothing."""
+        """End the connection at once, without the last results; a second call does nothing."""
         await self._sessions.close()
 
     async def send(self, audio: Any, capture_time_ns: int | None = None) -> None:
@@ -53,8 +53,8 @@ class AsyncStreamClient(StreamControls):
         audio : bytes-like
             Interleaved samples as declared: bytes, or an array (T, N) of int16, int32 or float32.
         capture_time_ns : int, optional
-            When the first sample frame was captured, for ``header: "seq_time"``; by default the
-            last one was captured now.
+            Capture time of the first sample frame, for ``header: "seq_time"``; by default the last
+            one was captured now.
 
         Raises
         ------
@@ -64,21 +64,21 @@ class AsyncStreamClient(StreamControls):
             If the stream has ended.
         """
         await self._sessions.send(audio, capture_time_ns)
-        await asyncio.sleep(0)  # a loop that only sends lets the connection work
+        await asyncio.sleep(0)  # let the connection work, even if the caller only sends
 
     def post(self, audio: Any, capture_time_ns: int | None = None) -> None:
         """``send`` without waiting for room, from any thread: for an audio device's callback."""
         self._sessions.post(audio, capture_time_ns)
 
     async def stop(self, timeout_s: float = 30.0) -> Summary:
-        """Send what waits, end the session and wait for its summary.
+        """Send waiting audio, end the session and wait for its summary.
 
         The last results can still be read afterwards.
 
         Parameters
         ----------
         timeout_s : float
-            Seconds without any message from the service after which it is given up.
+            Seconds without any message from the service after which to give up.
 
         Raises
         ------

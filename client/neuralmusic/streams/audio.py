@@ -1,4 +1,4 @@
-"""Audio of any buffer (bytes, numpy arrays, audio callbacks) as messages of whole sample frames.
+"""Audio from any buffer (bytes, numpy arrays, audio callbacks) as messages of whole sample frames.
 
 numpy is never imported: an array tells its type and shape through the buffer protocol.
 """
@@ -14,7 +14,7 @@ from neuralmusic.protocol.client_messages import AudioFormat
 from neuralmusic.protocol.framing import HEADER, NANOSECONDS, SAMPLE_BYTES, Encoding
 
 MESSAGE_SECONDS = 0.1
-"""Seconds of audio in one message at most: what is dropped is dropped in these pieces"""
+"""Most seconds of audio in one message; audio is dropped in such pieces"""
 
 
 _TYPES: dict[Encoding, tuple[str, str]] = {
@@ -23,7 +23,7 @@ _TYPES: dict[Encoding, tuple[str, str]] = {
     "pcm_s32le": ("il", "int32"),
     "pcm_f32le": ("f", "float32"),
 }
-"""By encoding: the buffer protocol's type codes, and numpy's name"""
+"""Type codes of the buffer protocol and numpy's name for every encoding"""
 
 
 def read_frames(audio: Any, audio_format: AudioFormat) -> memoryview:
@@ -32,8 +32,8 @@ def read_frames(audio: Any, audio_format: AudioFormat) -> memoryview:
     Parameters
     ----------
     audio : bytes-like
-        Bytes in the declared encoding, or an array (T, N) of it, N the declared channels; (T,) is
-        allowed for one channel and for samples that are interleaved already.
+        Bytes in the declared encoding, or an array (T, N) of it with the N declared channels; (T,)
+        is allowed for one channel and for interleaved samples.
 
     Returns
     -------
@@ -43,7 +43,7 @@ def read_frames(audio: Any, audio_format: AudioFormat) -> memoryview:
     Raises
     ------
     AudioError
-        If it is no buffer, or of another sample type.
+        If it is not a buffer, or has another sample type.
     ChannelMismatch
         If its shape or length does not fit the channels.
     """
@@ -51,7 +51,7 @@ def read_frames(audio: Any, audio_format: AudioFormat) -> memoryview:
         view = memoryview(audio)
     except TypeError:
         raise AudioError(
-            f"{type(audio).__name__} is no audio: send bytes, or an array that has the buffer "
+            f"{type(audio).__name__} is not audio: send bytes, or an array with the buffer "
             "protocol (numpy.asarray makes one)"
         ) from None
     _check_type(view, audio_format)
@@ -82,7 +82,7 @@ def split_frames(
     frames : memoryview
         Bytes of whole sample frames.
     capture_time_ns : int
-        Of the first sample frame.
+        Capture time of the first sample frame.
     """
     size, rate = audio_format.frame_bytes, audio_format.sample_rate
     header = HEADER.size if audio_format.header == "seq_time" else 0

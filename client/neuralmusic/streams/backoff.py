@@ -1,4 +1,4 @@
-"""How long to wait before the next attempt."""
+"""Delays before the next attempt."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from random import random
 
 MAX_EXPONENT = 60
 LONGEST_REQUEST_S = 300.0
-"""Seconds; a longer ``Retry-After`` is taken as this"""
+"""Longest ``Retry-After`` in seconds; a longer one counts as this"""
 
 
 @dataclass(frozen=True)
@@ -20,9 +20,9 @@ class Backoff:
     """
 
     first_s: float = 0.5
-    """Seconds; the upper bound of the first delay"""
+    """Upper bound of the first delay in seconds"""
     longest_s: float = 30.0
-    """Seconds; the upper bound of every delay"""
+    """Upper bound of every delay in seconds"""
     factor: float = 2.0
 
     def delay_s(
@@ -36,9 +36,9 @@ class Backoff:
         Parameters
         ----------
         attempt : int
-            Attempts that have failed since it last worked, from 0.
+            Failed attempts since the last success, from 0.
         retry_after_s : float, optional
-            Seconds that the service asked for; the jitter comes on top.
+            Seconds that the service asked for; jitter is added.
         uniform : callable
             Gives numbers in [0, 1).
         """

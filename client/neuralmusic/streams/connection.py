@@ -1,4 +1,4 @@
-"""One WebSocket connection from the handshake to ``ready``; refusals become errors with a sentence.
+"""One WebSocket connection from the handshake to ``ready``; refusals become errors.
 
 Compression stays off: it costs milliseconds per message and hardly shortens audio.
 """
@@ -45,15 +45,15 @@ MAX_SERVER_MESSAGE = 2**20
 
 @dataclass(frozen=True)
 class Timeouts:
-    """Seconds after which a silent network or service is given up."""
+    """Timeouts for a silent network or service, in seconds."""
 
     open_s: float = 10.0
-    """For the handshake, and again for ``ready``"""
+    """Seconds for the handshake, and again for ``ready``"""
     close_s: float = 5.0
     ping_interval_s: float = 2.0
-    """Between pings of the connection, which notice a vanished service"""
+    """Seconds between pings of the connection, which notice a vanished service"""
     ping_timeout_s: float = 5.0
-    """Without an answer to such a ping, or in which nothing that is sent gets away"""
+    """Seconds without an answer to a ping, or without progress in sending"""
 
 
 async def open_connection(
@@ -66,17 +66,17 @@ async def open_connection(
     url : str
         ``ws://`` or ``wss://``.
     key : str or None
-        Goes into the header ``Authorization``.
+        Key for the header ``Authorization``.
     send_buffer : int
-        Bytes that the operating system may hold back, at least 64 KiB: audio in its buffer is out
-        of reach and gets stale.
+        Most bytes in the operating system's buffer, at least 64 KiB: audio there cannot be dropped
+        and becomes stale.
 
     Raises
     ------
     ServiceUnreachable
         If nothing answers.
     StreamRefused
-        If the service says no.
+        If the service refuses.
     """
     try:
         websocket = await connect(
@@ -99,7 +99,7 @@ async def open_connection(
             response.headers.get("Retry-After"),
         ) from None
     except InvalidURI as error:
-        raise InvalidOption(f"{url} is no address: {error}") from None
+        raise InvalidOption(f"{url} is not an address: {error}") from None
     except (OSError, asyncio.TimeoutError, InvalidHandshake) as error:
         raise _unreachable(url, error, timeouts.open_s) from None
     try:
@@ -116,7 +116,7 @@ async def _start(
         raise StreamRefused(
             "protocol_unknown",
             "Unknown protocol",
-            f"{url} does not speak {SUBPROTOCOL}: is it this service, and of this version?",
+            f"{url} does not speak {SUBPROTOCOL}: is it this service, in this version?",
         )
     _shrink_send_buffer(websocket, max(send_buffer, MIN_SEND_BUFFER))
     said: StreamError | Closing | None = None
@@ -137,12 +137,12 @@ async def _receive(websocket: ClientConnection, url: str, timeout_s: float) -> s
         return await within(timeout_s, websocket.recv())
     except asyncio.TimeoutError:
         raise ServiceUnreachable(
-            f"{url} took the connection but did not answer `start` within {timeout_s:g} s"
+            f"{url} accepted the connection but did not answer `start` within {timeout_s:g} s"
         ) from None
 
 
 def read_known(text: str | bytes) -> AnyServerMessage | None:
-    """A message, or None where a newer service says something that this client does not know."""
+    """A message, or None for one of a newer service that this client does not know."""
     try:
         return read_server_message(text)
     except InvalidMessage as error:
@@ -153,7 +153,7 @@ def read_known(text: str | bytes) -> AnyServerMessage | None:
 def closed_by(
     websocket: ClientConnection, said: StreamError | Closing | None, kind: type[Problem]
 ) -> Problem:
-    """Why a closed connection ended, in the service's words where it said any."""
+    """Why a connection was closed, in the service's words where there are any."""
     code = websocket.close_code or 1006
     if said is not None:
         title = said.title if isinstance(said, StreamError) else "Session ended"
@@ -181,7 +181,7 @@ def _unreachable(url: str, error: Exception, timeout_s: float) -> ServiceUnreach
 
 
 def _reason(error: OSError) -> str:
-    """The system's word; asyncio's own repeats the address, once for each that it tried."""
+    """The system's reason; asyncio's repeats every address that it tried."""
     if isinstance(error, socket.gaierror) or error.errno is None:
         return error.strerror or "no connection"
     return os.strerror(error.errno).lower()

@@ -1,4 +1,4 @@
-"""What both stream clients offer without waiting: what is known, and messages to the service."""
+"""The part of both stream clients that never waits: state, and messages to the service."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from neuralmusic.streams.start import UNCHANGED, Unchanged, read_start
 
 
 class StreamControls:
-    """A stream that reconnects, but for opening, sending, receiving and closing."""
+    """A stream that reconnects, without opening, sending, receiving and closing."""
 
     def __init__(
         self,
@@ -60,9 +60,9 @@ class StreamControls:
         url : str
             ``http(s)://`` or ``ws(s)://``, with or without ``/stream``.
         start : Start, optional
-            The first message, in the place of the fields from ``audio`` to ``noise``.
+            The first message, instead of the fields from ``audio`` to ``noise``.
         audio : AudioFormat or mapping
-            How the audio is to be read: ``{"encoding": "pcm_s16le", "sample_rate": 16000,
+            Format of the audio: ``{"encoding": "pcm_s16le", "sample_rate": 16000,
             "channels": 4}``.
         array : str, ArrayChoice or mapping
             A preset's name, or ``{"positions_m": [[x, y, z], ...]}`` in metres.
@@ -74,28 +74,29 @@ class StreamControls:
             ``neural``, ``norm_music``, ``music`` or ``srp_phat``; by default ``neural`` where a
             model fits the array, else ``norm_music``.
         output : OutputOptions or mapping, optional
-            What results hold and how often they come: ``{"interval_ms": 200, "yaw_deg": 90}``.
+            Content and rate of results: ``{"interval_ms": 200, "yaw_deg": 90}``.
         overflow : str, optional
-            What happens to audio that comes faster than it is localized: ``drop_oldest``, the
-            default, keeps results about now; ``block`` loses nothing, for files.
+            What happens to audio that comes faster than it is localized: with ``drop_oldest``, the
+            default, results describe the present; ``block`` loses nothing, for files.
         client : str, optional
-            The robot's name, under which its noise calibration is kept.
+            The robot's name, under which its noise calibration is stored.
         noise : str, optional
-            ``kept``, the default, uses the noise calibration kept for this client, ``none`` none.
+            ``kept``, the default, uses the noise calibration stored for this client, ``none`` none.
         key : str, optional
             The service's key.
         reconnect : bool, optional
-            Whether a lost session is followed by another; by default where ``overflow`` is
-            ``drop_oldest``, since of a recording nothing may be missing.
+            Whether another session follows a lost one; by default only where ``overflow`` is
+            ``drop_oldest``, since no part of a recording may be missing.
         wait_s : float
             Seconds to keep trying the first connection, for a robot that starts before its service.
         queue_s : float
-            Seconds of audio that wait at most while the network or the service is slow. Then the
-            oldest is dropped (``dropped_s``), or ``send`` waits where ``overflow`` is ``block``.
+            Most seconds of audio that wait while the network or the service is slow. Beyond that
+            the oldest is dropped (``dropped_s``), or ``send`` waits where ``overflow`` is
+            ``block``.
         max_unread : int, optional
-            Events that wait to be read at most; the oldest results go first (``results_dropped``).
+            Most events that wait to be read; the oldest results go first (``results_dropped``).
         backoff, timeouts
-            How long to wait between attempts, and for a silent service.
+            Delays between attempts, and timeouts for a silent service.
 
         Raises
         ------
@@ -120,7 +121,7 @@ class StreamControls:
 
     @property
     def ready(self) -> Ready:
-        """What is in effect; another one, with another session, after a reconnection."""
+        """The ``ready`` of the session; a reconnection brings a new one."""
         return self._sessions.ready
 
     @property
@@ -130,7 +131,7 @@ class StreamControls:
 
     @property
     def summary(self) -> Summary | None:
-        """The session as a whole, once it has ended in order."""
+        """The session as a whole, once it has ended without an error."""
         return self._sessions.summary
 
     @property
@@ -145,17 +146,17 @@ class StreamControls:
 
     @property
     def ended(self) -> bool:
-        """True where everything was read and nothing will come."""
+        """True once the stream has ended and all events were read."""
         return self._sessions.inbox.ended
 
     @property
     def dropped_s(self) -> float:
-        """Seconds of audio that were dropped before they were sent."""
+        """Seconds of audio dropped before they were sent."""
         return self._sessions.outgoing.dropped_s
 
     @property
     def results_dropped(self) -> int:
-        """Results that were dropped since nobody read them."""
+        """Number of results dropped because nobody read them."""
         return self._sessions.inbox.results_dropped
 
     def update(
@@ -171,7 +172,7 @@ class StreamControls:
     ) -> None:
         """Change output options from the next result on, and for later sessions.
 
-        What is left out stays as it is.
+        Options that are left out stay the same.
 
         Parameters
         ----------
@@ -184,11 +185,11 @@ class StreamControls:
         include : sequence of str
             ``["spectrum"]`` adds 360 values of the spatial spectrum to every result.
         format : str
-            ``doa``, or ``odas`` for ODAS' objects in the place of results.
+            ``doa``, or ``odas`` for ODAS' objects instead of results.
         yaw_deg : float
-            Degrees that the array is turned on the robot, counter-clockwise.
+            Degrees by which the array is turned on the robot, counter-clockwise.
         exclude_deg : sequence of pairs
-            Sectors from and to, in degrees, in which nothing is reported.
+            Sectors (from, to) in degrees in which nothing is reported.
 
         Raises
         ------
@@ -212,11 +213,11 @@ class StreamControls:
         del current["type"]
         start = read_start(None, current)
         fields = {name: getattr(start.output, name) for name in changes}
-        self._sessions.start = start  # before it is sent: a session may be lost at any time
+        self._sessions.start = start  # before sending: a session may be lost at any time
         self._sessions.control(Update(type="update", output=OutputUpdate.model_construct(**fields)))
 
     def flush(self) -> None:
-        """Localize what was sent so far now; ``Flushed`` follows the last of these results."""
+        """Localize the audio sent so far now; ``Flushed`` follows the last of these results."""
         self._sessions.control(Flush(type="flush"))
 
     def ping(self, id: int | None = None) -> None:
@@ -224,7 +225,7 @@ class StreamControls:
         self._sessions.control(Ping(type="ping", id=id))
 
     def calibrate(self, seconds: float = 5.0) -> None:
-        """Learn the robot's noise from the audio that follows; ``Calibrated`` tells the end."""
+        """Learn the robot's noise from the audio that follows; ``Calibrated`` comes at the end."""
         self._sessions.control(Calibrate(type="calibrate", kind="noise", seconds=float(seconds)))
 
     def take(self) -> StreamEvent | None:
@@ -232,7 +233,7 @@ class StreamControls:
         return self._sessions.inbox.take()
 
     def received(self) -> list[StreamEvent]:
-        """Everything that has come and was not read, without waiting."""
+        """All unread events, without waiting."""
         self._sessions.check_open()
         events: list[StreamEvent] = []
         while (event := self.take()) is not None:

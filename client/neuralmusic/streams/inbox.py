@@ -1,4 +1,4 @@
-"""What has come and was not read yet: bounded, the newest results are kept."""
+"""Unread events: a bounded queue that keeps the newest results."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from neuralmusic.streams.timeout import within
 
 @dataclass(frozen=True)
 class Reconnecting:
-    """The connection is gone; audio is dropped until the next ``Ready``, of a new session."""
+    """The connection is lost; audio is dropped until the ``Ready`` of a new session."""
 
     reason: str
-    """What ended the connection, or why the last attempt failed"""
+    """Reason why the connection ended or the last attempt failed"""
     attempt: int
-    """Attempts that have failed since the connection was lost, from 0"""
+    """Failed attempts since the connection was lost, from 0"""
     delay_s: float
     """Seconds until the next attempt"""
 
@@ -30,13 +30,13 @@ StreamEvent = Union[AnyServerMessage, Reconnecting]
 
 
 class Inbox:
-    """Events of all sessions in their order, filled on the event loop, taken by any thread.
+    """Events of all sessions in order, filled on the event loop, taken by any thread.
 
     Parameters
     ----------
     capacity : int
-        Events that wait at most; then the oldest result is dropped, and anything else only where
-        no result waits.
+        Most events in the queue. Beyond it the oldest result is dropped, or another event where no
+        result waits.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -49,12 +49,12 @@ class Inbox:
 
     @cached_property
     def _changed(self) -> asyncio.Event:
-        """Made on the event loop: before Python 3.10 an event belongs to the loop it is made on."""
+        """An event, made on the loop: before Python 3.10 it belongs to the loop it is made on."""
         return asyncio.Event()
 
     @property
     def ended(self) -> bool:
-        """True where nothing waits and nothing will come."""
+        """True once the queue is empty and nothing will come."""
         return self._ended and not self._events
 
     def put(self, event: StreamEvent) -> None:
@@ -66,7 +66,7 @@ class Inbox:
         self._changed.set()
 
     def end(self, error: BaseException | None) -> None:
-        """Nothing follows; readers get the error after the last event."""
+        """End the queue; readers get the error after the last event."""
         self._ended, self._error = True, error
         self._changed.set()
 
@@ -76,7 +76,7 @@ class Inbox:
         Raises
         ------
         DoaError
-            Where nothing waits and the stream ended with an error.
+            If the queue is empty and the stream ended with an error.
         """
         with self._lock:
             if self._events:
@@ -86,9 +86,9 @@ class Inbox:
         return None
 
     async def wait(self, timeout_s: float | None = None) -> None:
-        """Wait until ``take`` has something to give, or nothing will come.
+        """Wait until ``take`` has an event, or nothing will come.
 
-        Whoever waits takes nothing, so a wait that is given up loses nothing.
+        Waiting takes no event, so a cancelled wait loses none.
         """
         with contextlib.suppress(asyncio.TimeoutError):
             await within(timeout_s, self._arrival())

@@ -16,7 +16,7 @@ END_S = 1.0
 
 
 class LoopThread:
-    """A running event loop; any thread may have it run coroutines."""
+    """A running event loop; any thread may run coroutines on it."""
 
     def __init__(self) -> None:
         self._loop = asyncio.new_event_loop()
@@ -28,7 +28,7 @@ class LoopThread:
         self._thread.start()
 
     def run(self, coroutine: Coroutine[Any, Any, T]) -> T:
-        """Wait for what a coroutine returns; an interrupted caller takes its call back.
+        """Run a coroutine and return its result; an interrupted caller cancels it.
 
         Raises
         ------
@@ -47,8 +47,8 @@ class LoopThread:
             raise
 
     def close(self, last: Coroutine[Any, Any, None]) -> None:
-        """Run a last coroutine and end the thread; again does nothing."""
-        with self._calls:  # a call that came later would wait for a loop that has stopped
+        """Run a last coroutine and end the thread; a second call does nothing."""
+        with self._calls:  # a later call would wait for a loop that has stopped
             if self.closed:
                 last.close()
                 return

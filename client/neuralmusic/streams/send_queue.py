@@ -1,4 +1,4 @@
-"""What waits to be sent: audio that is dropped when it gets stale, and control messages."""
+"""The queue to the service: audio, which is dropped when stale, and control messages."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from neuralmusic.protocol.framing import NANOSECONDS, FrameHeader
 from neuralmusic.streams.audio import read_frames, split_frames
 
 MAX_CONTROL = 64
-"""Control messages that wait at most"""
+"""Most control messages in the queue"""
 
 Outgoing = Union[bytes, str]
 
 
 class SendQueue:
-    """A bounded queue of messages in their order; any thread may fill it.
+    """A bounded queue of messages; any thread may fill it.
 
     Parameters
     ----------
     audio_format : AudioFormat
-        As declared in ``start``.
+        The format declared in ``start``.
     capacity_s : float
-        Seconds of audio that may wait.
+        Most seconds of audio in the queue.
     drop : bool
-        Drop the oldest audio when there is more; otherwise the caller waits for ``has_room``.
+        Drop the oldest audio beyond that; otherwise the caller waits for ``has_room``.
     wake : callable
-        Called after something was added, by the thread that added it.
+        Called after every addition, by the thread that added.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class SendQueue:
         self._wake = wake
         self._lock = threading.Lock()
         self._entries: deque[tuple[Outgoing, int]] = deque()
-        """Each with its sample frames; control messages have none"""
+        """Messages with their numbers of sample frames, 0 for control messages"""
         self._waiting = 0
         self._dropped = 0
         self._sequence = 0
@@ -52,7 +52,7 @@ class SendQueue:
 
     @property
     def has_room(self) -> bool:
-        """True where less than the capacity waits."""
+        """True while less audio than the capacity waits."""
         return self._waiting < self._capacity
 
     @property
@@ -62,22 +62,22 @@ class SendQueue:
 
     @property
     def dropped_s(self) -> float:
-        """Seconds of audio that were never sent, of all sessions."""
+        """Seconds of audio never sent, over all sessions."""
         return self._dropped / self._format.sample_rate
 
     @property
     def waiting_s(self) -> float:
-        """Seconds of audio that wait now."""
+        """Seconds of audio in the queue."""
         return self._waiting / self._format.sample_rate
 
     def begin(self) -> None:
-        """A session begins: sequence numbers start again."""
+        """Begin a session: sequence numbers start again."""
         with self._lock:
             self._sequence = 0
             self._connected = True
 
     def end(self) -> None:
-        """A session ended: what waits is stale and dropped, and so is what comes meanwhile."""
+        """End a session: waiting audio is stale and dropped, as is audio until the next session."""
         with self._lock:
             self._connected = False
             self._dropped += self._waiting
@@ -87,20 +87,19 @@ class SendQueue:
     def add_audio(self, audio: Any, capture_time_ns: int | None = None) -> None:
         """Append audio in pieces, and drop the oldest where there is too much.
 
-        Every piece has its sequence number from the beginning, so the service sees a gap where
-        one was dropped.
+        Pieces are numbered when they are added, so the service sees a gap where one was dropped.
 
         Parameters
         ----------
         audio : bytes-like
-            As ``read_frames`` takes it.
+            Audio for ``read_frames``.
         capture_time_ns : int, optional
-            When its first sample frame was captured; by default its last one was captured now.
+            Capture time of the first sample frame; by default the last one was captured now.
 
         Raises
         ------
         AudioError, ChannelMismatch
-            If it is not as declared.
+            If the audio is not as declared.
         StreamClosed
             After ``add_text(..., last=True)``.
         """
@@ -122,7 +121,7 @@ class SendQueue:
         self._wake()
 
     def add_text(self, text: str, *, last: bool = False) -> None:
-        """Append a control message; with ``last`` nothing may follow it."""
+        """Append a control message; nothing may follow one with ``last``."""
         with self._lock:
             self._check_open()
             self._finished = last
@@ -157,7 +156,7 @@ class SendQueue:
         return header + piece
 
     def _drop_oldest(self) -> bool:
-        """Drop one piece; never the last, so that something always comes through."""
+        """Drop one piece, but never the last, so that some audio always gets through."""
         audio = (index for index, (_, frames) in enumerate(self._entries) if frames)
         oldest, following = next(audio, None), next(audio, None)
         if oldest is None or following is None:

@@ -1,4 +1,4 @@
-"""Sessions one after the other, for both stream clients: send, receive, connect again."""
+"""Successive sessions for both stream clients: send, receive, reconnect."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ OPEN_ALREADY = "the stream is open already, or was: make another one"
 UNREAD_LIVE = 64
 UNREAD_RECORDING = 10_000
 RECORDING_PING_TIMEOUT_S = 120.0
-"""A service that takes a recording as fast as it can reads pings late"""
+"""Ping timeout in seconds for recordings: a service at full speed reads pings late"""
 CLOSE_S = 0.5
 """Seconds for the service's answer to a close"""
 
@@ -48,7 +48,7 @@ Failure = Union[ServiceProblem, ServiceUnreachable]
 
 @dataclass(frozen=True)
 class StreamOptions:
-    """How a stream behaves; ``StreamControls`` tells what they mean."""
+    """Options of a stream, as ``StreamControls`` explains them."""
 
     key: str | None = field(default=None, repr=False)
     reconnect: bool | None = None
@@ -60,21 +60,21 @@ class StreamOptions:
 
 
 class Sessions:
-    """The connections of one stream, of which at most one is open.
+    """The connections of one stream, at most one at a time.
 
     Parameters
     ----------
     url : str
         ``ws://`` or ``wss://``.
     start : Start
-        Sent first in every session; ``update`` replaces it.
+        The first message of every session; ``update`` replaces it.
     """
 
     _added: asyncio.Event
-    """Something waits to be sent; made on the event loop by ``open``, as before Python 3.10 an
-    event belongs to the loop that it is made on"""
+    """Event set when a message waits; ``open`` makes it on the event loop, since before Python 3.10
+    an event belongs to the loop it is made on"""
     _taken: asyncio.Event
-    """Something was sent, or a session ended"""
+    """Event set when a message was sent or a session ended"""
 
     def __init__(self, url: str, start: Start, options: StreamOptions) -> None:
         self.url = url
@@ -93,15 +93,15 @@ class Sessions:
         self.latest: Result | None = None
         self.summary: Summary | None = None
         self._error: Exception | None = None
-        """Why the last session ended, where that was not in order"""
+        """Error that ended the last session, if any"""
         self._received = 0
-        """Messages of the service so far"""
+        """Number of messages received so far"""
         self._stopping = False
         self._failures = 0
 
     @property
     def ready(self) -> Ready:
-        """What is in effect in the last session; InvalidOption before the first."""
+        """The ``ready`` of the last session; InvalidOption before the first."""
         if self._ready is None:
             raise InvalidOption(NOT_OPEN)
         return self._ready
@@ -119,7 +119,7 @@ class Sessions:
         self._task = asyncio.create_task(self._run(websocket))
 
     async def close(self) -> None:
-        """End at once; again does nothing."""
+        """End at once; a second call does nothing."""
         if self._task is not None:
             self._task.cancel()
             await asyncio.wait([self._task])
@@ -131,7 +131,7 @@ class Sessions:
         return self._task
 
     def check_running(self) -> None:
-        """Raise what ended the stream, where it has ended."""
+        """Raise the error that ended the stream, where it has ended."""
         if self.check_open().done():
             raise self._error or StreamClosed(
                 "stopped", "Stream stopped", "the stream has ended: open another for more audio"
@@ -155,7 +155,7 @@ class Sessions:
         self.outgoing.add_text(message.model_dump_json(exclude_unset=True))
 
     async def stop(self, timeout_s: float) -> Summary:
-        """Send what waits, end the session and wait for its summary."""
+        """Send waiting audio, end the session and wait for its summary."""
         self.check_running()
         self._stopping = True
         if not self.outgoing.connected:
@@ -179,7 +179,7 @@ class Sessions:
                 raise ServiceUnreachable(f"{self.url} did not answer `stop` within {timeout_s:g} s")
 
     async def _run(self, websocket: ClientConnection) -> None:
-        """Sessions until one ends for good; ``_error`` says why, unless it ended in order."""
+        """Run sessions until one ends for good; ``_error`` holds the error, if any."""
         try:
             while True:
                 closed = await self._session(websocket)
@@ -188,7 +188,7 @@ class Sessions:
                     return
                 websocket = await self._connect(closed, math.inf)
         except Exception as error:
-            self._error = error  # whoever reads gets it
+            self._error = error  # the reader gets it
         finally:
             self.inbox.end(self._error)
 
@@ -197,14 +197,14 @@ class Sessions:
         self._loop.call_soon_threadsafe(self._added.set)
 
     async def _connect(self, error: Failure | None, deadline: float) -> ClientConnection:
-        """Begin a session; try until the service takes it, says no for good, or it gets too late.
+        """Begin a session; try until the service accepts it, refuses for good, or time is up.
 
         Parameters
         ----------
         error : Failure or None
-            Why an attempt is not the first one, which has nothing to wait for.
+            Why the last session or attempt failed; None for the first attempt, which does not wait.
         deadline : float
-            When the last attempt may begin, by the loop's clock.
+            Loop time after which no attempt begins.
         """
         audio, options = self.start.audio, self._options
         held_back = int(options.queue_s * audio.sample_rate) * audio.frame_bytes
@@ -224,7 +224,7 @@ class Sessions:
             return websocket
 
     async def _wait_after(self, error: Failure, deadline: float) -> None:
-        """Wait for the next attempt; raise the error where there is none."""
+        """Wait for the next attempt; raise the error where there is no next one."""
         delay_s = self._options.backoff.delay_s(self._failures, error.retry_after_s)
         if not error.retryable or asyncio.get_running_loop().time() + delay_s > deadline:
             raise error
@@ -234,7 +234,7 @@ class Sessions:
         await asyncio.sleep(delay_s)
 
     async def _session(self, websocket: ClientConnection) -> StreamClosed | None:
-        """Send and receive until the connection ends; None where that was in order."""
+        """Send and receive until the connection ends; None where it ended without an error."""
         sender = asyncio.create_task(self._send_all(websocket))
         try:
             said = await self._read_all(websocket)
@@ -259,11 +259,11 @@ class Sessions:
         except ConnectionClosed:
             pass
         except asyncio.TimeoutError:
-            # Pings wait behind what the network does not take, so that none is ever missed.
+            # Pings queue behind data that the network does not take, so none is ever missed.
             websocket.transport.abort()
 
     async def _read_all(self, websocket: ClientConnection) -> StreamError | Closing | None:
-        """Read until the connection is closed; gives the service's last word."""
+        """Read until the connection is closed; return the service's ``error`` or ``closing``."""
         said: StreamError | Closing | None = None
         with contextlib.suppress(ConnectionClosed):
             while True:
@@ -272,7 +272,7 @@ class Sessions:
                     continue
                 self._received += 1
                 if isinstance(message, RESULTS):
-                    self._failures = 0  # it works again: the next outage begins with short delays
+                    self._failures = 0  # connected again: the next outage begins with short delays
                 if isinstance(message, Result):
                     self.latest = message
                 elif isinstance(message, Summary):
@@ -284,7 +284,7 @@ class Sessions:
 
 
 async def _close(websocket: ClientConnection) -> None:
-    """Close a connection; results that still come are not waited for."""
+    """Close a connection without waiting for further results."""
     with contextlib.suppress(asyncio.TimeoutError):
         await within(CLOSE_S, websocket.close())
     websocket.transport.abort()

@@ -1,4 +1,4 @@
-"""The first message of a stream, from whatever a program gives for it."""
+"""The first message of a stream, from the forms that a program may give."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from neuralmusic.protocol.message import plain
 
 
 class Unchanged(Enum):
-    """The type of ``UNCHANGED``, which stands for what is left as it is where None means more."""
+    """The type of ``UNCHANGED``, which stands for "leave as it is" where None is a value."""
 
     UNCHANGED = "unchanged"
 
@@ -25,7 +25,7 @@ UNCHANGED = Unchanged.UNCHANGED
 
 
 def read_start(start: Start | None, fields: Mapping[str, Any]) -> Start:
-    """The ``start`` message from itself or from its fields.
+    """The ``start`` message as given, or from its fields.
 
     ``array`` may be a preset's name alone, and values may be numpy arrays; None is not sent.
 
@@ -34,7 +34,7 @@ def read_start(start: Start | None, fields: Mapping[str, Any]) -> Start:
     InvalidMessage
         If a field is unknown, missing or out of range.
     InvalidOption
-        If both are given, or none.
+        If both are given, or neither.
     """
     given = {name: value for name, value in fields.items() if value is not None}
     if start is not None:

@@ -30,7 +30,7 @@ from neuralmusic.streams.sessions import NOT_OPEN, OPEN_ALREADY
 
 
 class StreamClient(StreamControls):
-    """A stream that reconnects; iterating yields what the service says and ends with the stream.
+    """A stream that reconnects; iterating yields the service's messages and ends with the stream.
 
     Notes
     -----
@@ -53,7 +53,7 @@ class StreamClient(StreamControls):
         return self
 
     def close(self) -> None:
-        """End the connection at once, without the last results; again does nothing."""
+        """End the connection at once, without the last results; a second call does nothing."""
         if self._thread is not None:
             self._thread.close(self._sessions.close())
 
@@ -68,7 +68,7 @@ class StreamClient(StreamControls):
             self._loop.run(self._sessions.send(audio, capture_time_ns))
 
     def stop(self, timeout_s: float = 30.0) -> Summary:
-        """Send what waits, end the session and wait for its summary, as ``AsyncStreamClient``."""
+        """Send waiting audio, end the session, wait for its summary, as ``AsyncStreamClient``."""
         return self._loop.run(self._sessions.stop(timeout_s))
 
     def receive(self, timeout_s: float | None = None) -> StreamEvent | None:
@@ -83,7 +83,7 @@ class StreamClient(StreamControls):
         if event is None and not (self.ended or loop.closed):
             with suppress(InvalidOption):  # another thread has closed it meanwhile
                 loop.run(self._sessions.inbox.wait(timeout_s))
-            event = self.take()  # here: a wait that is interrupted must not lose an event
+            event = self.take()  # in this thread: an interrupted wait must not lose an event
         return event
 
     def __iter__(self) -> Iterator[StreamEvent]:

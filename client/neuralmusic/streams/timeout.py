@@ -1,4 +1,4 @@
-"""A limit on how long something may take, the same on every Python."""
+"""A timeout that works the same on every Python."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ T = TypeVar("T")
 
 
 async def within(seconds: float | None, coroutine: Coroutine[Any, Any, T]) -> T:
-    """What a coroutine returns, or asyncio.TimeoutError once it takes longer.
+    """The result of a coroutine, or asyncio.TimeoutError once it takes longer.
 
     ``asyncio.timeout`` needs Python 3.11, and ``asyncio.wait_for`` may lose a cancellation before
     3.12.

@@ -67,7 +67,7 @@ HANDSHAKE_ERRORS: tuple[type[DoaError], ...] = (
     NotReady,
     Draining,
 )
-"""What may refuse a handshake, as a problem document before the connection is accepted"""
+"""Errors that refuse a handshake, as a problem document before the connection is accepted"""
 BEGIN, END = "<!-- messages: begin -->", "<!-- messages: end -->"
 REFERENCE = "#/components/schemas/{model}"
 

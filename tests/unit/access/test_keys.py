@@ -116,7 +116,7 @@ def test_a_role_opens_its_own_door_and_an_admin_every_one(file: Path) -> None:
             if role in (wanted, "admin"):
                 assert keys.check(key, wanted) == key
             else:
-                with pytest.raises(RoleMissing, match=f"needs {wanted}"):
+                with pytest.raises(RoleMissing, match=f"needs the role {wanted}"):
                     keys.check(key, wanted)
 
 

@@ -49,7 +49,7 @@ def test_an_archive_becomes_one_file(
     before = Path("out.jsonl").read_bytes()
     code, out, err = run(capsys, *command)
     assert (code, err) == (1, "")
-    assert out.splitlines()[0] == "out.jsonl: 2 of 4 recordings localized, 4 of them before"
+    assert out.splitlines()[0] == "out.jsonl: 2 of 4 recordings localized, 4 of them earlier"
     assert Path("out.jsonl").read_bytes() == before
     assert run(capsys, "batch", "archive/left.wav", *command[2:])[0] == 0
 

@@ -18,7 +18,7 @@ from service.batch.plan import Plan
 pytestmark = pytest.mark.processes
 
 LONG_S = 20.0
-"""Seconds of audio, of which a part is done long before the rest"""
+"""Seconds of audio: part of it is done long before the rest"""
 
 
 def children() -> list[int]:

@@ -81,7 +81,7 @@ def test_what_is_written_is_left_out(out: Path, plan: Plan, finish: bool) -> Non
 
 
 def test_every_recording_has_one_cpu(plan: Plan) -> None:
-    """As many go on at a time as there are: each with helpers of its own would be their square."""
+    """Every CPU has its recording: with helpers for each, processes would be CPUs squared."""
     assert plan.setup.settings.processes == 1
 
 

@@ -86,7 +86,7 @@ def test_a_file_may_have_more_channels_than_microphones(
         (["-", "--array", ARRAY], "raw samples need --encoding"),
         (["x.wav", "--array", ARRAY, "--channels", "2"], "give - as the FILE"),
         (["x.wav", "--array", ARRAY, "--ssl"], "--ssl goes with"),
-        (["x.wav", "--array", ARRAY, "--output", "odas", "--save", "x.csv"], "run it twice"),
+        (["x.wav", "--array", ARRAY, "--output", "odas", "--save", "x.csv"], "the command twice"),
     ],
 )
 def test_wrong_combinations_are_one_sentence(
@@ -99,7 +99,7 @@ def test_wrong_combinations_are_one_sentence(
     ("more", "reason"),
     [
         (["--array", "respeaker"], "no array preset is called 'respeaker'"),
-        (["--url", "ftp://robot"], "is no address"),
+        (["--url", "ftp://robot"], "is not an address"),
         (["--interval-ms", "5"], "output.interval_ms"),
         (["--exclude", "front"], "exclude_deg must list sectors as from:to"),
         (["--exclude", "10:10"], "empty or the whole circle"),
@@ -151,7 +151,7 @@ def test_unreadable_files_are_one_sentence(
     short.write_bytes(Path(talk_wav).read_bytes()[:-100])
     text.write_text("no audio")
     assert "the header promises" in refusal(capsys, str(short), *stream_flags[1:])
-    assert "no audio file" in refusal(capsys, str(text), *stream_flags[1:])
+    assert "not an audio file" in refusal(capsys, str(text), *stream_flags[1:])
     monkeypatch.setitem(sys.modules, "soundfile", None)
     assert "pip install './client[files]'" in refusal(capsys, str(text), *stream_flags[1:])
 

@@ -42,7 +42,7 @@ def test_every_form_of_an_address(url: str, http: str, socket: str) -> None:
     "url", ["", "ftp://robot", "http://", "http://robot:99999", "http://[::1", "http://r:0"]
 )
 def test_what_is_no_address_is_refused(url: str) -> None:
-    with pytest.raises(InvalidOption, match="no address"):
+    with pytest.raises(InvalidOption, match="not an address"):
         stream_url(url)
 
 
@@ -113,7 +113,7 @@ def test_arrays_are_read_as_their_bytes() -> None:
         (np.zeros((10, 4), np.float32), AudioError, "pcm_s16le was declared"),
         (np.zeros((10, 4), np.uint16), AudioError, "'H'"),
         (np.zeros((10, 4), ">i2"), AudioError, "'>h'"),
-        ([1, 2, 3], AudioError, "list is no audio"),
+        ([1, 2, 3], AudioError, "list is not audio"),
         (np.zeros((4, 10), np.int16), ChannelMismatch, r"\(4, 10\).*transpose"),
         (np.zeros((2, 2, 4), np.int16), ChannelMismatch, "shape"),
         (np.zeros(10, np.int16), ChannelMismatch, "20 bytes are no whole number"),

@@ -135,7 +135,7 @@ def test_srp_phat_finds_a_delayed_noise() -> None:
 
 @pytest.mark.parametrize("microphones", [2, 4, 8, 16])
 def test_the_principal_eigenvector_is_lapacks(microphones: int) -> None:
-    """Where the two largest eigenvalues differ by a fifth or more; the share always."""
+    """The vector agrees where the two largest eigenvalues differ by a fifth; the share always."""
     rng = np.random.default_rng(3)
     shape = (300, microphones, microphones)
     unitary, _ = np.linalg.qr(rng.standard_normal(shape) + 1j * rng.standard_normal(shape))

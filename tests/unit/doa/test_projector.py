@@ -62,7 +62,7 @@ def test_it_projects_on_the_largest_eigenvectors(
 
 @pytest.mark.parametrize("num_sources", [1, 2])
 def test_it_is_closer_than_eigenvectors_in_single_precision(num_sources: int) -> None:
-    """Of noise and two talkers 20 dB apart, as sample covariances of 64 frames have them."""
+    """The matrices are sample covariances of 64 frames: noise and two talkers 20 dB apart."""
     rng = np.random.default_rng(1)
     shape = (300, 4, 64)
     noise = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)

@@ -66,7 +66,7 @@ def test_confidences_are_as_high_as_the_share_that_is_right(
 def test_a_stream_follows_a_talker_in_a_room(
     method: Method, square: MicrophoneArray, room: list[FloatArray]
 ) -> None:
-    """With confidences below a half a tracker takes every detection for one reason less."""
+    """A tracker takes confidences below a half as evidence against a talker."""
     audio = AudioFormat(encoding="pcm_s16le", sample_rate=RATE, channels=4)
     for place, heard in zip(np.deg2rad(PLACES), room, strict=True):
         plan = StreamPlan(audio, square, (0, 1, 2, 3), method, None, Stft())

@@ -89,7 +89,7 @@ class SessionMachine(RuleBasedStateMachine):
     def open(self, message: dict[str, Any] | None, eager: bool, calm: int) -> None:
         self.seen = 0
         self.calm = calm
-        """Steps before anything may happen that ends a session"""
+        """Least steps before a session may end"""
         session = Session("test", Reporter(self.keep), NoiseStore(), LIMITS, now=0.0)
         self.messages: list[dict[str, Any]] = []
         self.driver = Driver(session, StreamHost(registry()), self.messages, eager=eager)

@@ -20,7 +20,7 @@ from service.workers.stream_pool import ENOUGH, StreamWorker, StreamWorkers
 pytestmark = pytest.mark.processes
 
 MANY = 4000
-"""Whose messages and answers fill the sockets in both directions"""
+"""Jobs whose messages and answers fill the sockets in both directions"""
 
 
 def test_no_worker_keeps_the_models_that_a_reload_replaced() -> None:
