@@ -1,7 +1,7 @@
 """The ASGI application, which ``neuralmusic serve`` runs.
 
-Another ASGI server takes ``service.app:create_app`` as a factory; the variables of
-``service.machine.environment`` are then for whoever starts it to set.
+Another ASGI server takes ``service.app:create_app`` as a factory; set the variables of
+``service.machine.environment`` for it yourself.
 """
 
 from __future__ import annotations

@@ -65,9 +65,9 @@ def localize(
     window_s, hop_s : float, optional
         Seconds of audio per result, and from one result to the next.
     yaw_deg : float, optional
-        Degrees that the array is turned on the robot, counter-clockwise.
+        Degrees by which the array is turned counter-clockwise on the robot.
     exclude_deg : sequence of pairs, optional
-        Sectors from and to, in degrees, in which nothing is reported.
+        Sectors (from, to) in degrees in which nothing is reported.
     noise : path, optional
         A profile of the robot's own noise that ``neuralmusic noise`` wrote.
     spectrum : bool, optional

@@ -1,4 +1,4 @@
-"""What a process of the service says to the libraries that it is about to load."""
+"""Environment variables for the libraries that a process of the service loads."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ VARIABLES = {
     # folder. A robot's service calls nobody.
     TELEMETRY: "1",
 }
-"""numpy and onnxruntime read these when they are first imported"""
+"""Variables that numpy and onnxruntime read when they are first imported"""
 
 
 def prepare_process() -> None:
-    """Set what the user has not set; to be called before numpy or onnxruntime is imported."""
+    """Set the variables that the user has not set, before numpy or onnxruntime is imported."""
     for name, value in VARIABLES.items():
         os.environ.setdefault(name, value)
 
 
 def disable_telemetry() -> None:
-    """The same for onnxruntime's reports alone, where the process is not the service's own."""
+    """Turn off onnxruntime's reports alone, in a process that is not the service's own."""
     os.environ.setdefault(TELEMETRY, VARIABLES[TELEMETRY])

@@ -1,4 +1,4 @@
-"""Requests that never end are ended: in their head, in their body, in what is not taken."""
+"""Requests that never end are ended: in the head, in the body, in an answer that is not read."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_a_second_request_on_a_connection_has_the_same_deadline(service: Running
 
 
 class OwnClock(asyncio.SelectorEventLoop):
-    """An event loop whose time goes on where the test says so."""
+    """An event loop whose time the test advances."""
 
     now = 0.0
 

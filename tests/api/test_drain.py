@@ -1,4 +1,4 @@
-"""SIGTERM: load balancers hear of it first, work that comes meanwhile is done, streams are told."""
+"""SIGTERM: load balancers learn first, work that still comes is done, streams are told."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pages of others, in the browser of somebody who can reach the service: what they may not do.
+"""Pages of other origins, in a browser that can reach the service: what they may not do.
 
 The requests are those that browsers send of themselves: ``Origin`` on everything that is no plain
 GET, and ``Host`` as the address has it, whatever that name resolves to.
@@ -144,7 +144,7 @@ def test_from_the_network_any_name_is_good_unless_names_are_given() -> None:
 def test_a_service_with_keys_behind_a_proxy_of_its_machine_takes_the_proxys_name(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
-    """A page of another name has no key, so nothing is gained by refusing it."""
+    """A page of another name has no key, so refusing it would gain nothing."""
     path = tmp_path_factory.mktemp("keys") / "keys"
     token = new_token()
     path.write_text(f'{{"name": "a", "sha256": "{token_sha256(token)}", "roles": ["watch"]}}')

@@ -1,4 +1,4 @@
-"""What Prometheus sees of a service that really runs."""
+"""What Prometheus sees of a running service."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def names(values: dict[str, float]) -> set[str]:
-    """Metrics of our own, whatever their parts are called."""
+    """The service's own metrics, by family."""
     written = {name.partition("{")[0] for name in values if name.startswith("neuralmusic_")}
     return {re.sub(r"_(bucket|sum|count)$", "", name) for name in written}
 

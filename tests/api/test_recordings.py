@@ -1,4 +1,4 @@
-"""Recordings in worker processes: full, crashed, stalled, stopped, and as before afterwards."""
+"""Recordings in worker processes: full, crashed, stalled, stopped, and well again afterwards."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Service:
 
     @contextmanager
     def busy(self) -> Iterator[Future[Any]]:
-        """While a recording is in a worker that stands still."""
+        """A context in which a worker has a recording and stands still."""
         assert self.post().status_code == 200  # it is up
         pid = self.pid
         os.kill(pid, signal.SIGSTOP)
@@ -91,7 +91,7 @@ def service(sounds: Any) -> Iterator[Callable[..., Service]]:
 
 @pytest.fixture(scope="module")
 def running(sounds: Any) -> Iterator[Service]:
-    """One without a queue, for tests after which it is as before."""
+    """A shared application without a queue, for tests that leave it unchanged."""
     app = create_app(Settings(workers=1, queue=0, processes=2), BundleRegistry(()))
     with TestClient(app, raise_server_exceptions=False) as client:
         yield Service(client, sounds.wav())
@@ -123,7 +123,7 @@ def test_a_worker_is_free_again_after_a_recording_that_is_none(running: Service)
 def test_what_a_decoder_prints_goes_nowhere(
     service: Any, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """libsndfile's for MIDI sample dumps prints to standard output, which nobody may be reading."""
+    """libsndfile prints to standard output for MIDI sample dumps, and nobody may read it."""
     dump = io.BytesIO()
     soundfile.write(dump, np.zeros(4000), 16_000, format="SDS", subtype="PCM_16")
     content = bytearray(dump.getvalue())
@@ -249,7 +249,7 @@ def test_the_hop_that_is_advised_is_taken(seconds: float) -> None:
 
 
 class Heard(Exception):
-    """Enough of it."""
+    """Part of that recording, long enough for the test."""
 
 
 def heard(reports: list[Any]) -> Callable[[object], None]:

@@ -105,7 +105,7 @@ def test_a_bad_bundle_leaves_the_old_one_serving(
 def test_a_folder_that_is_gone_leaves_the_old_models_serving(
     service: RunningService, bundle: Path
 ) -> None:
-    """A volume that is not mounted, say: the embedded models must not take over in silence."""
+    """A volume may not be mounted: the embedded models must not take over silently."""
     serving = version(service.url)
     shutil.rmtree(bundle.parent)
     refused = reload(service)
@@ -158,13 +158,13 @@ def test_new_work_gets_the_new_models_and_a_running_stream_keeps_its_own(
 
 
 def line_with(words: str, process: subprocess.Popen[str]) -> str:
-    """The next line of a process's output that has these words."""
+    """The next line of a process's output with these words."""
     assert process.stdout is not None
     return next(line for line in process.stdout if words in line)
 
 
 def test_a_hang_up_signal_reloads_and_is_not_lost_during_the_start(bundle: Path) -> None:
-    """The first comes when the models have been read and nothing waits for signals yet."""
+    """The first SIGHUP comes after the models are read and before anything handles signals."""
     program = f"""{WORKERS_LATER}
 import os, signal, sys
 from pathlib import Path

@@ -43,7 +43,7 @@ def lines(caplog: pytest.LogCaptureFixture) -> list[dict[str, Any]]:
 
 
 def counted(client: TestClient, name: str) -> dict[str, float]:
-    """Counts above nought by their labels, as they are written."""
+    """Counts above zero by their labels, as they are written."""
     found = {}
     for line in client.get("/metrics").text.splitlines():
         if line.startswith(f"neuralmusic_{name}{{"):

@@ -1,4 +1,4 @@
-"""A service that really runs, as a log reader and a collector of traces see it."""
+"""A running service, as a log reader and a collector of traces see it."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ BROKEN = "import service.api.page as page; page.page_files = None"
 
 @dataclass(frozen=True)
 class Watched:
-    """A process that was asked this and that: what it answered, logged and traced."""
+    """A process after several requests: its answers, log and traces."""
 
     models: httpx2.Response
     style_sheet: httpx2.Response

@@ -1,4 +1,4 @@
-"""How large the house may grow: few loose files, files a head can hold, no package unnamed."""
+"""Limits of the layout: few loose files, short files, a docstring in every package."""
 
 from __future__ import annotations
 

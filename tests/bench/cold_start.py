@@ -21,7 +21,7 @@ def output(*words: str) -> str:
 
 
 def ready(port: int) -> bool:
-    """Whether the service says so; a refused connection says no."""
+    """Whether the service is ready; a refused connection means no."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
     try:
         connection.request("GET", "/readyz")

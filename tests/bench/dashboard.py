@@ -193,7 +193,7 @@ def queried(address: str, target: Any, began: float, ended: float) -> list[Serie
 def all_series(
     dashboard: Any, address: str, began: float, ended: float
 ) -> tuple[dict[int, list[Series]], list[str]]:
-    """What every panel shows, and the titles of those that show nothing."""
+    """The data of every panel, and the titles of empty ones."""
     shown: dict[int, list[Series]] = {}
     empty = []
     for panel in dashboard["panels"]:

@@ -54,7 +54,7 @@ class Heard:
 
 @dataclass(slots=True)
 class Robot:
-    """One robot's stream and what came of it."""
+    """One robot's stream and its outcome."""
 
     name: str
     url: str
@@ -127,11 +127,11 @@ class Robot:
 
     @property
     def cut(self) -> int:
-        """How often the robot had to begin another session."""
+        """Number of sessions that the robot had to begin after its first."""
         return max(len(self.begun) - 1, 0)
 
     def cut_after(self, moment: float) -> bool:
-        """Whether it had to begin another session after a moment of the monotonic clock."""
+        """Whether the robot began another session after a moment of the monotonic clock."""
         return bool(self.begun) and self.begun[-1] > moment
 
     def lost_s(self, since: float = 0.0) -> float:
@@ -161,7 +161,7 @@ def recording(times: int) -> bytes:
 
 @asynccontextmanager
 async def fleet(url: str, count: int, **options: Any) -> AsyncIterator[list[Robot]]:
-    """So many robots, all of which hear something already."""
+    """A number of robots, all with results already."""
     robots = [Robot(f"robot-{index}", url, options) for index in range(count)]
     tasks = []
     try:

@@ -22,7 +22,7 @@ from websockets.asyncio.client import connect
 
 
 async def vanish(url: str, count: int = 2000) -> None:
-    """Connect, start, send a little, be gone."""
+    """Connect, start, send a little and vanish."""
     for index in range(count):
         with suppress(websockets.InvalidStatus):  # full for a moment
             async with connect(url, **OPTIONS) as socket:

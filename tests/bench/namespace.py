@@ -12,7 +12,7 @@ NEAR, FAR = "10.213.77.1", "10.213.77.2"
 
 
 def usable() -> bool:
-    """Whether namespaces can be made here: as root, with ip and iptables."""
+    """Whether this process can make namespaces: as root, with ip and iptables."""
     return os.geteuid() == 0 and all(map(shutil.which, ("ip", "iptables")))
 
 
@@ -30,7 +30,7 @@ class Namespace:
 
     @property
     def within(self) -> tuple[str, ...]:
-        """What runs a command in the namespace."""
+        """Prefix of a command that runs in the namespace."""
         return ("ip", "netns", "exec", self.name)
 
     def cut(self) -> None:

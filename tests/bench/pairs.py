@@ -80,7 +80,7 @@ def compare(before: Path, work: Work, pairs: int) -> str:
 
 
 def take_turns(work: Work) -> None:
-    """Work at every line that comes in, answer with the milliseconds."""
+    """Take a turn at every line that comes in, and answer with the milliseconds."""
     from service.machine.memory import keep_freed_memory
 
     keep_freed_memory()  # as the workers do
@@ -144,7 +144,7 @@ def _steps() -> Iterator[Callable[[], int]]:
 
 
 def main() -> None:
-    """Compare, or take turns for who compares."""
+    """Compare, or take turns for the process that compares."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("before", type=Path, help="the other checkout")
     parser.add_argument("--pairs", type=int, default=400)

@@ -1,4 +1,4 @@
-"""``neuralmusic serve`` as a process of its own, and what it and its workers take."""
+"""``neuralmusic serve`` as a process of its own, and the resources of it and its workers."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class Served:
         return [pid for pid in children(self.pid) if kind in command_line(pid)]
 
     def footprint(self, *, workers: bool = True) -> Footprint:
-        """What the service takes now, with its workers or alone."""
+        """The resources of the service now, with its workers or alone."""
         pids = [self.pid, *(children(self.pid) if workers else ())]
         targets = [target for pid in pids for target in open_files(pid)]
         return Footprint(

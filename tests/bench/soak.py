@@ -1,4 +1,4 @@
-"""Robots, churn, uploads and faults for a while: does anything grow that should not?
+"""Robots, churn, uploads and faults for a while, to see whether anything grows.
 
 ``python tests/bench/soak.py --minutes 30`` starts a service of its own, writes ``docs/soak.json``
 and ``docs/soak.png``, prints a verdict and exits with 1 where a bound is broken.

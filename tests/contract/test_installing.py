@@ -52,7 +52,7 @@ def advice(page: Path) -> Iterator[tuple[str, list[str]]]:
 
 
 def fault(words: list[str]) -> str:
-    """Why nobody can follow a line; empty where it can be followed."""
+    """Why a line cannot be followed; empty where it can."""
     names = [word.partition("[")[0] for word in words]
     for word, name in zip(words, names, strict=True):
         folder = PUBLISHED.get(name, name.removeprefix("./"))

@@ -110,7 +110,7 @@ def not_ready(subject: Subject) -> Iterator[None]:
 
 
 def failing(place: str, error: Exception) -> State:
-    """A defect, or a fault of the machine, which there is no honest request for."""
+    """A defect, or a fault of the machine, which no honest request provokes."""
 
     @contextmanager
     def state(_: Subject) -> Iterator[None]:
@@ -133,7 +133,7 @@ Ask = Callable[[Subject], httpx2.Response]
 
 
 def ask(method: str, path: str, during: State | None = None, **request: Any) -> Ask:
-    """A request, in whatever state the service is to be in."""
+    """A request, and the state of the service for it."""
 
     def send(subject: Subject) -> httpx2.Response:
         if during is None:
@@ -145,7 +145,7 @@ def ask(method: str, path: str, during: State | None = None, **request: Any) -> 
 
 
 def named(method: str, **request: Any) -> Ask:
-    """A request about a noise profile that there is."""
+    """A request about a stored noise profile."""
 
     def send(subject: Subject) -> httpx2.Response:
         assert subject.client.put("/noise/one", content=profile()).status_code == 200
@@ -162,14 +162,14 @@ def of_a_stream(path: str, **request: Any) -> Ask:
 
 
 def one_too_many(subject: Subject) -> httpx2.Response:
-    """A noise profile more than are kept."""
+    """One noise profile above the limit."""
     with patch.object(subject.service.state, "noise", NoiseStore(capacity=1)):
         assert subject.client.put("/noise/one", content=profile()).status_code == 200
         return subject.client.put("/noise/two", content=profile())
 
 
 def while_busy(subject: Subject) -> httpx2.Response:
-    """A recording while as many as may are being localized."""
+    """A recording while the limit of recordings is reached."""
     workers = subject.service.state.recording_workers
     assert subject.localize(wav()).status_code == 200  # the worker is up
     (pid,) = workers.pids

@@ -22,7 +22,7 @@ def running_engine() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def provided(running_engine: None) -> Callable[[str], None]:
-    """Has an image, or skips."""
+    """Provides an image, or skips."""
 
     def have(image: str) -> None:
         missing = provide(image)

@@ -31,7 +31,7 @@ def inside(image: str, *words: str) -> str:
 
 
 def large_wav() -> bytes:
-    """The sample twice, 2 MB: more than is kept in memory while it comes."""
+    """The sample twice, 2 MB: more than an upload keeps in memory."""
     samples, rate = soundfile.read(SAMPLE, dtype="int16")
     file = io.BytesIO()
     soundfile.write(file, np.concatenate([samples, samples]), rate, format="WAV")

@@ -28,7 +28,7 @@ def ask(url: str, what: str, **parameters: str) -> Any:
 
 
 def until(url: str, what: str, enough: Callable[[Any], bool], **parameters: str) -> Any:
-    """What Prometheus says once it is enough."""
+    """Prometheus's answer once it is complete."""
     deadline = time.monotonic() + PATIENCE_S
     while time.monotonic() < deadline:
         said = ask(url, what, **parameters)

@@ -85,7 +85,7 @@ class Load:
         await client.close()
 
     async def ask(self) -> None:
-        """Requests that cost nothing, hundreds a second: one is on its way at every moment."""
+        """Cheap requests, hundreds a second, so that one is always on its way."""
         async with httpx2.AsyncClient(base_url=self.url, headers={"Content-Type": WAV}) as client:
             while not self.enough.is_set():
                 try:
@@ -97,7 +97,7 @@ class Load:
                     self.problems.append(repr(error))
 
     async def stream(self) -> None:
-        """A robot that goes on whatever happens, and reads what it is told."""
+        """A robot that continues whatever happens, and reads all messages."""
         stream = AsyncStreamClient(
             self.url,
             array=ARRAY,

@@ -52,7 +52,7 @@ def chromium() -> Iterator[Any]:
 
 @dataclass
 class Visit:
-    """A page, and what happened in it that nobody looks at."""
+    """A page, and what happened in it unseen."""
 
     page: Any
     url: str
@@ -95,7 +95,7 @@ def keep_picture(here: Visit, name: str) -> None:
 
 @pytest.fixture
 def visit(chromium: Any, url: str) -> Iterator[Callable[..., Visit]]:
-    """Opens the page; in the end nothing was complained of and nothing was asked elsewhere."""
+    """Opens the page; at the end there must be no complaint and no request to another host."""
     opened: list[Visit] = []
 
     def open_page(

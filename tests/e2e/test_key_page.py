@@ -23,7 +23,7 @@ WHOLE, WATCH = new_token(), new_token()
 
 @pytest.fixture(scope="module")
 def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """In the place of the open service."""
+    """A service with keys instead of the open one."""
     file = tmp_path_factory.mktemp("keys") / "keys.jsonl"
     keys = [
         Key(name="whole", sha256=token_sha256(WHOLE), roles=("localize", "stream", "watch")),

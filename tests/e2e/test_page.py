@@ -1,4 +1,4 @@
-"""What a newcomer does in a browser; nothing that the page says or asks for escapes the test.
+"""A newcomer in a browser; the test sees all that the page reports and requests.
 
 ``SCREENSHOTS=docs`` in the environment writes the pictures of the page into that folder.
 """
@@ -25,7 +25,7 @@ expect = pytest.importorskip("playwright.sync_api", reason="needs playwright").e
 pytestmark = pytest.mark.page
 
 Visits = Callable[..., Any]
-"""Opens the page, as the fixture ``visit`` does"""
+"""Function that opens the page, as the fixture ``visit`` does"""
 
 ROOT = Path(__file__).parents[2]
 SAMPLE = ROOT / "examples" / "two-talkers.flac"

@@ -41,7 +41,7 @@ class Clock:
         self.environment = {"LD_PRELOAD": str(library), "CLOCK_SHIFT": str(self._shift)}
 
     def shift(self, seconds: float) -> None:
-        """Let the clock be ahead by so many seconds."""
+        """Set the clock ahead by a number of seconds."""
         with self._shift.open("r+b" if self._shift.exists() else "wb") as file:
             file.write(struct.pack("=q", round(seconds)))
 

@@ -34,12 +34,12 @@ def disk(tmp_path: Path) -> Iterator[Path]:
 
 
 def grow(disk: Path) -> None:
-    """Give it room."""
+    """Free space on the file system."""
     subprocess.run(["mount", "-o", "remount,size=64m", disk], check=True)
 
 
 def spooled(disk: Path) -> list[str]:
-    """The files on it, without that which onnxruntime keeps in the temporary folder."""
+    """The files on it, without onnxruntime's in the temporary folder."""
     return [path.name for path in disk.iterdir() if path.name != ".ses"]
 
 

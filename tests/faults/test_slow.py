@@ -1,4 +1,4 @@
-"""Clients that never come to the point: 200 at a time, while others are served."""
+"""Clients that never finish a request: 200 at a time, while others are served."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ async def drip(port: int, first: bytes, byte: bytes) -> float:
 
 
 async def ask(http: httpx2.AsyncClient, service: Served) -> httpx2.Response:
-    """Have the sample localized."""
+    """Localize the sample."""
     with RECORDING.open("rb") as audio:
         return await http.post(
             f"{service.url}/localize", data={"array": ARRAY}, files={"audio": audio}
@@ -110,7 +110,7 @@ def test_slow_clients(figures: Callable[..., None], kind: str) -> None:
 
 
 def difference(before: Footprint, after: Footprint) -> str:
-    """What there is more than before."""
+    """What has grown since before."""
     return (
         f"{after.sockets - before.sockets} sockets, {after.threads - before.threads} threads, "
         f"{after.pss_mb - before.pss_mb:+.1f} MB"
@@ -118,7 +118,7 @@ def difference(before: Footprint, after: Footprint) -> str:
 
 
 def test_clients_that_never_read(figures: Callable[..., None]) -> None:
-    """They hold every place until the system's timer for what is not taken ends them."""
+    """They hold every place until the system's timer for unread data ends them."""
     places = 8
 
     async def mute(port: int) -> float:

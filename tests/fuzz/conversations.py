@@ -87,7 +87,7 @@ def _bad_message(random: Random) -> tuple[bytes, str]:
 
 
 def _bad_audio(random: Random) -> tuple[bytes, str]:
-    """Audio that is none, or not what was announced."""
+    """Audio that is invalid, or not as announced."""
     begin = messages.start() if random.random() < 0.4 else messages.tuned(random)
     timed = begin["audio"].get("header") == "seq_time"
     sent = [_text(json.dumps(begin), random)]
@@ -139,7 +139,7 @@ def _bad_order(random: Random) -> tuple[bytes, str]:
 
 
 def _bad_handshake(random: Random) -> tuple[bytes, str, bool]:
-    """A handshake that is refused, or none at all."""
+    """A handshake that is refused or invalid."""
     headers = dict(HEADERS)
     what = random.choice(("half", "without", "changed", "long", "method", "body", "repeated"))
     request = "GET /stream HTTP/1.1"

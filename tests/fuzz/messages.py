@@ -37,7 +37,7 @@ ODD: tuple[Any, ...] = (
     *("none", "default", "neural", "paper", "any-array", "seq_time", "pcm_f32le", "mp3", "é" * 70),
     *("a" * 30_000, [], {}, [[]], [None], [1, 2, 3, 4], [0, 0], [-1], list(range(5000)), {"a": {}}),
 )
-"""Values for any field"""
+"""Invalid or unusual values for any field"""
 TUNED: dict[str, tuple[Any, ...]] = {
     "sample_rate": (4000, 8000, 11_025, 44_100, 48_000, 96_000, 384_000),
     "channels": (1, 2, 3, 5, 6, 8, 64),
@@ -68,7 +68,7 @@ TUNED: dict[str, tuple[Any, ...]] = {
 
 
 def start() -> dict[str, Any]:
-    """A valid beginning."""
+    """A valid ``start``."""
     return {
         "type": "start",
         "audio": {"encoding": "pcm_s16le", "sample_rate": 16_000, "channels": 4},
@@ -87,7 +87,7 @@ CONTROLS: tuple[dict[str, Any], ...] = (
 
 
 def tuned(random: Random) -> dict[str, Any]:
-    """A beginning with other values that may be, fitting each other or not."""
+    """A ``start`` with other possible values, which may not fit each other."""
     message = start()
     for _ in range(random.choice((1, 2, 4))):
         name = random.choice(tuple(TUNED))

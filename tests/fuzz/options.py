@@ -1,4 +1,4 @@
-"""Options of ``POST /localize`` with values that nobody means."""
+"""Options of ``POST /localize`` with absurd values."""
 
 from __future__ import annotations
 

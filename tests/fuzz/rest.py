@@ -1,4 +1,4 @@
-"""A service at rest: when it has come to it, and whether anything is left of what was before."""
+"""A service at rest: when it has reached it, and whether anything is left over."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def settled(served: Served) -> Footprint:
 
 
 def returned(served: Served, before: Footprint) -> Footprint:
-    """The footprint once it is that of before, or after a minute."""
+    """The footprint once it is the same as before, or after a minute."""
     deadline = time.monotonic() + PATIENCE_S
     while leftovers(now := _look(served), before) and time.monotonic() < deadline:
         pass
@@ -36,7 +36,7 @@ def returned(served: Served, before: Footprint) -> Footprint:
 
 
 def leftovers(now: Footprint, before: Footprint) -> list[str]:
-    """What there is more than before."""
+    """What has grown since before."""
     found = []
     if now.memory_mb > before.memory_mb + MEMORY_MB:
         found.append(f"{now.memory_mb - before.memory_mb:.0f} MB")

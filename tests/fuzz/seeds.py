@@ -75,13 +75,13 @@ class Seed:
 
     @property
     def array(self) -> str:
-        """The ``array`` that fits it; with one channel none does."""
+        """The ``array`` that fits; none fits one channel."""
         return PAIR if self.channels == 2 else SQUARE
 
 
 @cache
 def seeds() -> tuple[Seed, ...]:
-    """All of them, in an order that never changes."""
+    """All seeds, in a fixed order."""
     found = [
         Seed(kind, encoded(kind, subtype, channels, rate), channels)
         for kind, subtype, channels, rate in FORMATS

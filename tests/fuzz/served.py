@@ -79,7 +79,7 @@ class Served:
         return self._process.poll() is None
 
     def footprint(self) -> Footprint:
-        """What is held now."""
+        """The footprint now."""
         pids = list(_tree(self._process.pid))
         return Footprint(
             sum(map(_memory_mb, pids)),

@@ -70,7 +70,7 @@ def install() -> None:
 
 @contextmanager
 def engine() -> Iterator[str | None]:
-    """Gives None once an engine runs, else a sentence on why there is none.
+    """None once an engine runs, else a sentence that says why there is none.
 
     One that ran before keeps running; one that was started here is ended.
     """

@@ -1,4 +1,4 @@
-"""Whether a learned method can learn: it is trained on a handful of scenes and asked about them."""
+"""Whether a learned method can learn: it must fit a handful of scenes."""
 
 from __future__ import annotations
 

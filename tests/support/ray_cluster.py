@@ -90,7 +90,7 @@ class Deployed:
         serve.run(ray_app.deployment.options(**options).bind(), name=APP)
 
     def replicas(self) -> list[Replica]:
-        """Those that serve now."""
+        """The replicas that serve now."""
         details = _get_global_client().get_serve_details()
         listed = details["applications"][APP]["deployments"][NAME]["replicas"]
         return [
@@ -116,7 +116,7 @@ def deployed() -> Iterator[Deployed]:
 
 
 def until(condition: Callable[[], Any], meanwhile: Callable[[], object]) -> Any:
-    """Do something until a condition is true, at most ``LANE_S``; gives what it then was."""
+    """Repeat until a condition is true, for at most ``LANE_S``; return its value."""
     end = time.monotonic() + LANE_S
     while not (found := condition()):
         assert time.monotonic() < end, "Ray did not do it in time"

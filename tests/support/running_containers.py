@@ -32,16 +32,16 @@ class Container:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What the engine knows of it."""
+        """The engine's description of the container."""
         found: dict[str, Any] = json.loads(docker("inspect", self.id))[0]
         return found
 
     def run(self, *words: str) -> str:
-        """What a program in it prints."""
+        """The output of a program in the container."""
         return docker("exec", self.id, *words)
 
     def logs(self) -> str:
-        """What it has said on both outputs."""
+        """The log of the container, both outputs."""
         return docker("logs", self.id, merged=True)
 
     def wait(self) -> int:
@@ -97,7 +97,7 @@ class ComposeProject:
         self.compose("up", "-d", *services)
 
     def containers(self, service: str) -> list[Container]:
-        """Those of a service."""
+        """The containers of a service."""
         return [Container(id) for id in self.compose("ps", "-q", service).split()]
 
     def url(self, service: str, port: int, scheme: str = "http") -> str:

@@ -39,7 +39,7 @@ def serving(**settings: str) -> Iterator[str]:
 
 
 async def workers_with_the_first_work(self: ServiceState) -> None:
-    """In the place of ``start_workers``: a worker is started when something comes for it."""
+    """Replacement of ``start_workers`` that starts a worker only when work comes."""
 
 
 WORKERS_LATER = """
@@ -83,7 +83,7 @@ class RunningService:
 
     @property
     def state(self) -> ServiceState:
-        """What its endpoints share."""
+        """State that the endpoints share."""
         state: ServiceState = self._app.state.service
         return state
 

@@ -1,4 +1,4 @@
-"""A scripted service: what it says and when is the test's, so nothing has to be waited out."""
+"""A scripted service: the test decides what it sends and when, so no test has to wait."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ class Peer:
         return audio
 
     def finish(self, audio_s: float = 1.0) -> None:
-        """The orderly end."""
+        """End the session without an error."""
         self.say(
             summary(audio_s), Closing(seq=100, code="done", detail="as asked", close_code=1000)
         )

@@ -25,7 +25,7 @@ Call = tuple[str, dict[str, str]]
 
 @dataclass(frozen=True)
 class Module:
-    """What one module reaches for."""
+    """What one module imports and calls."""
 
     imports: tuple[str, ...]
     """Imports at its top or later; ``from a import b`` is ``a.b``"""

@@ -1,4 +1,4 @@
-"""What is asked of a service whose metrics, logs and traces are looked at."""
+"""Requests to a service whose metrics, logs and traces are checked."""
 
 from __future__ import annotations
 

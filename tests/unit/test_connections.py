@@ -160,6 +160,6 @@ async def closed_by_shutdown(*, answers: bool) -> bool:
 
 
 def test_the_service_s_end_waits_for_the_answer_to_a_close() -> None:
-    """Closing the socket with audio unread would take the last words away again."""
+    """Closing the socket with unread audio would discard the last messages."""
     assert not asyncio.run(closed_by_shutdown(answers=False))
     assert asyncio.run(closed_by_shutdown(answers=True))

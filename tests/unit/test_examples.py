@@ -52,7 +52,7 @@ def test_the_robot_turns_to_the_talker(
 
 
 class Message:
-    """A ROS message whose fields come into being when they are used."""
+    """A ROS message whose fields appear on first use."""
 
     def __init__(self, **fields: Any) -> None:
         self.__dict__.update(fields)
@@ -75,7 +75,7 @@ class Publisher:
 
 
 class Node:
-    """What the example needs of rclpy's."""
+    """The parts of rclpy that the example needs."""
 
     parameters: dict[str, Any] = {}  # noqa: RUF012
 

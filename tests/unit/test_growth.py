@@ -1,4 +1,4 @@
-"""What grows with what: CPU time against microphones, audio and sessions, by a fit.
+"""Growth of CPU time with microphones, audio and sessions, by a fit.
 
 A fit of a power law over several sizes, the least of several runs at each: other programs only ever
 add, and bounds leave room, so that what fails here is another order of growth.

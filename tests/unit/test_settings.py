@@ -1,4 +1,4 @@
-"""Settings: flags over environment over defaults, and sentences for what is wrong."""
+"""Settings: flags over environment over defaults, and sentences for errors."""
 
 from __future__ import annotations
 

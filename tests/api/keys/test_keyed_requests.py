@@ -29,7 +29,7 @@ ARRAY = "respeaker-usb-4mic-v2"
 
 
 def test_every_path_of_the_application_was_decided_on(client: TestClient) -> None:
-    """A path that nobody entered in the table is for administrators alone: enter it."""
+    """A path without a rule is for administrators alone: add a rule for it."""
     for route in client.app.routes:  # type: ignore[attr-defined]
         path = getattr(route, "path", None)
         if path is None:

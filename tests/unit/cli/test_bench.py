@@ -1,4 +1,4 @@
-"""``neuralmusic bench --json``: the figures that scripts read, and what they are of the times."""
+"""``neuralmusic bench --json``: the figures that scripts read, computed from the times."""
 
 from __future__ import annotations
 

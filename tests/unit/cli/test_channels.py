@@ -1,4 +1,4 @@
-"""One file with more channels than microphones, asked of everything that takes recordings."""
+"""One file with more channels than microphones, given to every interface for recordings."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def wave(square: MicrophoneArray, plane_waves: Any) -> FloatArray:
 
 @pytest.fixture
 def write_channels(tmp_path: Path, wave: FloatArray) -> WriteChannels:
-    """Write the wave into channels 1 to 4 of so many."""
+    """Write the wave into channels 1 to 4 of a file."""
 
     def write(channels: int) -> str:
         audio = 0.01 * np.random.default_rng(3).standard_normal((channels, wave.shape[1]))

@@ -1,4 +1,4 @@
-"""``neuralmusic key``: what it prints is what the service takes."""
+"""``neuralmusic key``: the service accepts the tokens that it prints."""
 
 from __future__ import annotations
 

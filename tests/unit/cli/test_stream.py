@@ -221,7 +221,7 @@ def interruptible() -> Iterator[None]:
 
 
 class Interrupting:
-    """Ctrl-C while it is destroyed: Python prints what is raised there and goes on."""
+    """Ctrl-C while it is destroyed: Python prints an exception there and continues."""
 
     def __del__(self) -> None:
         signal.raise_signal(signal.SIGINT)

@@ -211,7 +211,7 @@ def test_unread_results_are_bounded_and_the_newest_are_kept(service_of: ServiceO
 
 
 def test_a_reader_in_another_thread_ends_with_the_stream(service_of: ServiceOf) -> None:
-    """Whatever it does when the stream is closed."""
+    """The reader ends whatever it is doing when the stream is closed."""
 
     def script(peer: Peer) -> None:
         peer.begin()

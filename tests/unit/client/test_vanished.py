@@ -56,7 +56,7 @@ def send_until_it_ends(stream: StreamClient) -> None:
 
 
 def test_a_service_that_takes_nothing_more_is_noticed_without_pings() -> None:
-    """What waits for the network holds pings back, too."""
+    """Data that waits for the network holds pings back, too."""
     over = threading.Event()
     with socket.create_server(("127.0.0.1", 0)) as listener:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)

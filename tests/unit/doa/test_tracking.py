@@ -196,7 +196,7 @@ def test_talkers_are_counted_alike_at_every_interval(interval: float) -> None:
 @pytest.mark.parametrize("interval", [0.05, 0.1, 0.2])
 @pytest.mark.parametrize("velocity_deg", [15.0, 30.0, 50.0])
 def test_crossing_talkers_keep_their_ids(velocity_deg: float, interval: float) -> None:
-    """Each as fast as the other, from 60 degrees on one side to 60 degrees on the other."""
+    """Both at the same speed, from 60 degrees on one side to 60 degrees on the other."""
     kept, runs = 0, 20
     for seed in range(runs):
         paths = [moving(-60, velocity_deg), moving(60, -velocity_deg)]
@@ -369,7 +369,7 @@ def test_what_is_no_stream_is_refused() -> None:
 
 
 def test_the_velocity_makes_up_for_late_detections() -> None:
-    """Windows see a talker where it was: the report is where it is."""
+    """Windows see where a talker was; the report says where it is."""
     late = TrackerParameters()
     velocity = math.radians(30)
     updates = [

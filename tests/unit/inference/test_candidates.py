@@ -66,7 +66,7 @@ def test_two_talkers_do_not_draw_each_other_closer(
 
 
 def test_what_is_found_first_leans_towards_the_other() -> None:
-    """The test above is none of peaks: as found, the first is six times as far off."""
+    """The test above is not one of peaks: as found, the first is six times as far off."""
     truth = np.deg2rad([100.0, 125.0])
     found = find_candidates(field_of(np.repeat(truth, BINS * ROWS // 2)))
     assert worst_deg(found.azimuth[:2], truth) > 0.24

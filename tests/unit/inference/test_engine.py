@@ -1,4 +1,4 @@
-"""The runtime of the graphs does nothing but compute."""
+"""onnxruntime does nothing but compute."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A stream's results, whoever asks for them when."""
+"""A stream's results do not depend on when they are requested."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Counting: what comes out is what Prometheus' own parsers read."""
+"""Counting, checked with Prometheus' own parsers."""
 
 from __future__ import annotations
 

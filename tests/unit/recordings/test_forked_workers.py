@@ -1,4 +1,4 @@
-"""Work in forked helpers: what comes back, in which order, and what is left when somebody dies."""
+"""Work in forked helpers: results, their order, and what is left when a process dies."""
 
 from __future__ import annotations
 

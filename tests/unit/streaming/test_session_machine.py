@@ -1,4 +1,4 @@
-"""Any sequence of messages, audio, work, time and faults leaves a session in a defined state."""
+"""Any sequence of messages, audio, jobs, time and faults leaves a session in a defined state."""
 
 from __future__ import annotations
 
@@ -76,12 +76,12 @@ def registry() -> BundleRegistry:
 
 
 def codes(error: type[DoaError] = DoaError) -> set[str]:
-    """Those that a client may be told; a defect of the service is none of them."""
+    """Errors that a client may be told; a defect of the service is not among them."""
     return {error.code}.union(*map(codes, error.__subclasses__())) - {"internal"}
 
 
 class SessionMachine(RuleBasedStateMachine):
-    """A client, a worker and a clock, each doing whatever it likes."""
+    """A client, a worker and a clock, each acting at random."""
 
     @initialize(
         message=st.sampled_from([*STARTS, None]), eager=st.booleans(), calm=st.integers(0, 20)

@@ -186,7 +186,7 @@ def test_a_long_gap_begins_anew_and_time_goes_on(
 
 @pytest.mark.parametrize("rate", [16_000, 44_100, 48_000])
 def test_gaps_lose_no_time_at_any_rate(rate: int, new_session: NewSession) -> None:
-    """What the resampler holds when a gap comes is lost; the time it stands for is not."""
+    """The audio that the resampler holds at a gap is lost; its time is not."""
     piece = pcm(0.01 * np.random.default_rng(1).standard_normal((4, rate // 50)))
     driver = new_session()
     audio = {"header": "seq_time", "sample_rate": rate}

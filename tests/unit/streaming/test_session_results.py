@@ -19,7 +19,7 @@ RATE = 16000
 
 
 def results(driver: Driver) -> list[dict[str, Any]]:
-    """The results but for what depends on time."""
+    """The results without the fields that depend on time."""
     kept = ("t_start", "t_end", "sources", "why_no_source", "final", "spectrum")
     return [{key: r.get(key) for key in kept} for r in driver.all("result")]
 
@@ -65,7 +65,7 @@ def test_a_bound_model_streams_too(new_session: NewSession, speech: FloatArray) 
 def test_no_more_talkers_are_reported_than_are_known_to_be_there(
     new_session: NewSession, square: MicrophoneArray, plane_waves: Any
 ) -> None:
-    """They take turns, so that both are followed at the same time."""
+    """The talkers take turns, so that both are tracked at the same time."""
     turns = [plane_waves(square, [a], seconds=0.8, seed=s) for s in range(3) for a in (70, 200)]
     audio = pcm(np.concatenate(turns, axis=1))
     most = []
@@ -123,7 +123,7 @@ def test_any_split_of_the_same_audio_gives_the_same_results(
 
 
 def _close(first: dict[str, Any], second: dict[str, Any]) -> bool:
-    """Equal but for the resampler's rounding."""
+    """Equal up to the resampler's rounding."""
     if (first["t_end"], first["why_no_source"]) != (second["t_end"], second["why_no_source"]):
         return False
     pairs = zip(first["sources"], second["sources"], strict=True)

@@ -48,7 +48,7 @@ def test_no_worker_keeps_the_models_that_a_reload_replaced() -> None:
 
 
 def test_a_worker_that_is_behind_ends_when_it_is_asked_to() -> None:
-    """It waits until its answers are read, so nobody may wait until it has read all."""
+    """The worker waits until its answers are read, so nobody may wait until it has read all."""
     start = Start(
         type="start",
         audio=AudioFormat(encoding="pcm_s16le", sample_rate=16_000, channels=4),
