@@ -89,14 +89,14 @@ class StreamWorker:
 
     def submit(self, work: Work, done: Done | None = None) -> None:
         """Have work done; ``done`` is called with what came of it."""
-        number = next(self._numbers)
         if self.lost:
             if done is not None:
                 self._loop.call_soon(done, Failed(worker_lost()))
             return
+        number = next(self._numbers)
+        message = packed((number, work))
         if done is not None:
             self._waiting[number] = PendingWork(done, self._loop.time(), isinstance(work, Check))
-        message = packed((number, work))
         if self._transport is None:
             self._unsent.append(message)
         else:
