@@ -160,7 +160,9 @@ def test_others_do_not_notice_one_who_floods_one_who_vanishes_and_one_who_never_
     settle(service)
 
 
-@pytest.mark.parametrize("step", ["receive_text", "receive_bytes", "take_work", "work_done", "tick"])
+@pytest.mark.parametrize(
+    "step", ["receive_text", "receive_bytes", "take_work", "work_done", "tick"]
+)
 def test_a_session_whose_own_code_raises_is_told_and_ends_alone(
     service: RunningService,
     monkeypatch: pytest.MonkeyPatch,
