@@ -39,6 +39,13 @@ UNEXPECTED = "the service failed; its log says why: please report it"
 """Of errors that nobody foresaw; their cause stays in the log"""
 
 
+def printable(text: str) -> str:
+    """``text`` with what begins lines, moves cursors or is no character written out."""
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() else repr(each)[1:-1] for each in text)
+
+
 class Attributes(TypedDict, total=False):
     """What a class of error may say of itself as keywords of its class statement."""
 
@@ -70,8 +77,8 @@ class DoaError(Exception):
             setattr(cls, name, value)
 
     def __init__(self, detail: str) -> None:
-        super().__init__(detail)
-        self.detail = detail
+        self.detail = printable(detail)  # sentences repeat paths and what libraries say
+        super().__init__(self.detail)
 
 
 class ConfigError(DoaError, code="config_invalid", title="Invalid configuration"):

@@ -25,6 +25,7 @@ from service.errors import (
 )
 from service.inference.noise_profile import MAX_BYTES, load_noise, noise_bytes
 from service.inference.noise_store import NoiseStore, StoredNoise
+from service.protocol.names import NAME_RULE
 from service.recordings.answers import Answer
 
 MEDIA_TYPE = "application/octet-stream"
@@ -34,7 +35,7 @@ SPOOL_BYTES = 2**20
 
 router = APIRouter(tags=["noise"])
 
-Name = Annotated[str, Path(description="1 to 64 letters, digits, dots, underscores and hyphens.")]
+Name = Annotated[str, Path(description=f"{NAME_RULE}.")]
 
 
 class NoiseAnswer(Answer):

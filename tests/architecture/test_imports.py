@@ -12,7 +12,8 @@ from source_tree import ROOT, modules, own_imports, room
 ORDER = {
     "service": (
         ("__init__", "errors"),
-        ("access", "doa", "lifecycle", "machine", "protocol"),
+        ("doa", "lifecycle", "machine", "protocol"),
+        ("access",),
         ("audio", "inference", "settings"),
         ("observability", "recordings", "startup", "streaming"),
         ("workers",),

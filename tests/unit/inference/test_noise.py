@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import logging
+import os
+import struct
 import threading
 import zipfile
 from collections.abc import Callable
@@ -34,6 +36,7 @@ from service.inference.localizer import Localizer, localizer_of
 from service.inference.noise_profile import MAX_BYTES, load_noise, noise_bytes
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
+from service.inference.stream import stream_localizer_of
 from service.protocol.methods import METHODS
 
 SQUARE = preset("respeaker-usb-4mic-v2")
@@ -161,6 +164,15 @@ def lying_header() -> bytes:
     return member.getvalue() + bytes(64)
 
 
+def named(*characters: int) -> bytes:
+    """The member of a name of these code points, which need be no characters."""
+    member = io.BytesIO()
+    np.save(member, np.array("", dtype="<U64"))
+    return member.getvalue()[:-256] + struct.pack(f"<{len(characters)}I", *characters).ljust(
+        256, b"\0"
+    )
+
+
 BROKEN: dict[str, Callable[[bytes], bytes]] = {
     "empty": lambda content: b"",
     "text": lambda content: b"noise" * 100,
@@ -182,7 +194,21 @@ BROKEN: dict[str, Callable[[bytes], bytes]] = {
     ),
     "centimetres": lambda content: rewritten(content, positions=100 * SQUARE.positions),
     "no frames": lambda content: rewritten(content, hop=np.int64(0)),
+    "positions as large as floats": lambda content: rewritten(
+        content, positions=1e308 * np.sign(SQUARE.positions)
+    ),
+    "positions far away": lambda content: rewritten(content, positions=1e15 + SQUARE.positions),
+    "too few samples a second": lambda content: rewritten(content, sample_rate=np.int64(1)),
+    "too many samples a second": lambda content: rewritten(content, sample_rate=np.int64(2**62)),
+    "surrogate": lambda content: rewritten(content, name=named(0x41, 0xD800)),
+    "beyond Unicode": lambda content: rewritten(content, name=named(0x41, 0x110000)),
+    "far beyond Unicode": lambda content: rewritten(content, name=named(0x41, 0xFFFFFFFF)),
+    "NUL": lambda content: rewritten(content, name=named(0x41, 0, 0x42)),
+    "a line of its own": lambda content: rewritten(content, name=named(0x41, 0x0A, 0x1B)),
+    "nameless": lambda content: rewritten(content, name=named()),
     "no time": lambda content: rewritten(content, seconds=np.float64(-1)),
+    "hardly any time": lambda content: rewritten(content, seconds=np.float64(5e-324)),
+    "ages": lambda content: rewritten(content, seconds=np.float64(1e308)),
     "too large": lambda content: content + bytes(MAX_BYTES),
 }
 
@@ -195,6 +221,48 @@ def test_a_file_that_is_no_profile_is_refused(broken: str, profile: NoiseCovaria
 
 def test_the_rewriting_of_members_alone_breaks_nothing(profile: NoiseCovariance) -> None:
     assert load_noise(io.BytesIO(rewritten(noise_bytes(profile)))).stft == profile.stft
+
+
+def one_bin() -> FloatArray:
+    matrices = np.zeros((257, 4, 4))
+    matrices[0, 0, 0] = 1
+    return matrices
+
+
+# Bins decades apart, and off by what rounding leaves of the loudest.
+DECADES = (10.0 ** np.linspace(-45, 38, 257))[:, None, None] * np.eye(4)
+EXTREME = {
+    "largest": np.tile(1e38 * np.eye(4), (257, 1, 1)),
+    "largest everywhere": np.full((257, 4, 4), 3.4e38 * (1 + 0j)),
+    "smallest": np.tile(1e-45 * np.eye(4), (257, 1, 1)),
+    "one value": one_bin(),
+    "decades": DECADES,
+    "barely negative": DECADES - 1e33 * np.diag([0, 0, 1, 2]),
+}
+
+
+@pytest.mark.parametrize("extreme", EXTREME)
+def test_a_profile_of_extreme_values_gives_directions_or_none(
+    extreme: str, profile: NoiseCovariance, registry: BundleRegistry, plane_waves
+) -> None:
+    content = rewritten(noise_bytes(profile), covariance=EXTREME[extreme].astype(np.complex64))
+    noise = load_noise(io.BytesIO(content))
+    audio = plane_waves(SQUARE, [50.0])
+    spectra = Stft().transform(audio)
+    for method in METHODS:
+        bundle = registry.for_array(SQUARE) if method == "neural" else None
+        stream = stream_localizer_of(method, bundle, SQUARE, Stft(), noise)
+        stream.push(spectra)
+        found = [
+            *localizer(method, registry, noise).estimate(audio[None], None, 3),
+            *localizer(method, registry, noise).estimate(audio[None], 2, 3),
+            stream.estimate(None, 3),
+        ]
+        for estimate in found:
+            assert np.isfinite(estimate.spectrum).all()
+            for source in estimate.sources:
+                assert 0 <= source.azimuth < 2 * np.pi
+                assert 0 <= source.confidence <= 1
 
 
 def test_the_largest_array_with_the_longest_frames_fits_in_a_file() -> None:
@@ -271,10 +339,13 @@ def test_a_corrupt_file_is_left_out_with_a_warning(
 ) -> None:
     NoiseStore(tmp_path).put("good", profile)
     (tmp_path / "bad.npz").write_bytes(b"PK nonsense")
+    (tmp_path / "named.npz").write_bytes(rewritten(noise_bytes(profile), name=named(0xD800)))
     (tmp_path / ".half.part").write_bytes(b"PK")
+    os.mkfifo(tmp_path / "pipe.npz")
     with caplog.at_level(logging.WARNING):
         assert [each.name for each in NoiseStore(tmp_path).all()] == ["good"]
     assert "bad.npz left out" in caplog.text
+    assert "named.npz left out" in caplog.text
     assert (tmp_path / "bad.npz").exists()
 
 
