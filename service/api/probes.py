@@ -35,7 +35,10 @@ async def livez() -> StatusAnswer:
     responses=problem_responses(NotReady, Draining),
 )
 async def readyz(request: Request) -> StatusAnswer:
-    """200 once the models are loaded and self-tested and until the service is to stop, else 503."""
+    """200 once the models are loaded and self-tested and until the service is to stop, else 503.
+
+    503 also while one of the two kinds of processes that compute has none that is ready.
+    """
     state_of(request).check_ready()
     return StatusAnswer()
 
