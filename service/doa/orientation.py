@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from service.doa.peaks import wrapped
 from service.doa.types import FloatArray
 
 WIRE_GRID = 360
@@ -31,7 +32,7 @@ class Orientation:
 
     def on_robot(self, azimuth: float) -> float:
         """The robot's azimuth in [0, 2 pi) of the array's."""
-        return (azimuth + self.yaw) % (2 * math.pi)
+        return wrapped(azimuth + self.yaw)
 
     def excludes(self, azimuth: float) -> bool:
         """True where the array's azimuth lies in an excluded sector."""
