@@ -173,6 +173,15 @@ def named(*characters: int) -> bytes:
     )
 
 
+def with_members(content: bytes, count: int) -> bytes:
+    """A profile with so many empty files beside it."""
+    file = io.BytesIO(content)
+    with zipfile.ZipFile(file, "a") as archive:
+        for number in range(count):
+            archive.writestr(f"{number:04x}", b"")
+    return file.getvalue()
+
+
 BROKEN: dict[str, Callable[[bytes], bytes]] = {
     "empty": lambda content: b"",
     "text": lambda content: b"noise" * 100,
@@ -209,6 +218,8 @@ BROKEN: dict[str, Callable[[bytes], bytes]] = {
     "no time": lambda content: rewritten(content, seconds=np.float64(-1)),
     "hardly any time": lambda content: rewritten(content, seconds=np.float64(5e-324)),
     "ages": lambda content: rewritten(content, seconds=np.float64(1e308)),
+    "many members": lambda content: with_members(content, 6000),
+    "too many members": lambda content: with_members(content, 2**16),
     "too large": lambda content: content + bytes(MAX_BYTES),
 }
 
