@@ -1,8 +1,8 @@
 #!/bin/sh
-# Replace every replica by a new one, one after the other, without losing a request:
+# Replace every replica, one after the other, without losing a request:
 #   docker/rolling-restart.sh [-f FILE]... [-p PROJECT]
-# The words go to Compose; without any they are -f docker/compose.scale.yaml. A new image or new
-# settings come into effect: build or edit first. Needs room for one replica more.
+# The arguments go to Compose; the default is -f docker/compose.scale.yaml. New replicas use the
+# current image and settings: build or edit first. Needs room for one more replica.
 set -eu
 cd "$(dirname "$0")/.."
 [ $# -gt 0 ] || set -- -f docker/compose.scale.yaml
@@ -12,7 +12,7 @@ else
     compose() { docker-compose "$@"; }
 fi
 
-# Waits until a container's own check says so; fails where it ends or never does.
+# Waits until a container is healthy; fails if it ends or never gets healthy.
 wait_until_healthy() {
     for _ in $(seq 120); do
         case $(docker inspect --format '{{.State.Status}} {{.State.Health.Status}}' "$1") in
@@ -34,7 +34,7 @@ for replica in $old; do
     for new in $(compose "$@" ps -q neuralmusic); do
         case $before in *"$new"*) ;; *) wait_until_healthy "$new" ;; esac
     done
-    sleep 1 # until the proxy knows it, too
+    sleep 1 # until the proxy knows the new replica
     docker stop "$replica" >/dev/null
     docker rm "$replica" >/dev/null
 done

@@ -3,7 +3,7 @@
 Usage: python examples/robot_loop.py recording.wav respeaker-usb-4mic-v2 [http://robot:8000]
 
 The recording stands in for a microphone: replace ``chunks`` by whatever records, and ``turn`` by
-whatever moves. Needs ``pip install "neuralmusic[client]" soundfile``.
+whatever moves. Needs ``pip install ./client soundfile``.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from collections.abc import Iterator
 
 import soundfile
 
-from service.client import StreamClient
-from service.protocol.server_messages import Result
+from neuralmusic import StreamClient
+from neuralmusic.protocol.server_messages import Result
 
 CHUNK_S = 0.05
 

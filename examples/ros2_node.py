@@ -30,10 +30,10 @@ from geometry_msgs.msg import Pose, PoseArray
 from rclpy.node import Node
 from std_msgs.msg import Int16MultiArray, String
 
-from service.cli.microphone import Microphone
-from service.client import Reconnecting, StreamClient
-from service.errors import DoaError
-from service.protocol.server_messages import Result, StreamWarning
+from neuralmusic import Reconnecting, StreamClient
+from neuralmusic.errors import DoaError
+from neuralmusic.protocol.server_messages import Result, StreamWarning
+from neuralmusic.sources.microphone import Microphone
 
 NANOSECONDS = 1_000_000_000
 WAIT_S = 60.0

@@ -1,13 +1,22 @@
-"""NeuralMUSIC Service: sound source localization for robots."""
+"""NeuralMUSIC Service: sound source localization for robots.
 
-import os
+``localize`` localizes a recording in this process, without a server.
+"""
 
-# Windows are small: threads of BLAS cost more than they gain, and several workers would each bring
-# a pool of the host's size. numpy reads this when it is first imported.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from __future__ import annotations
 
-# onnxruntime 1.29 and later report to Microsoft, with an identifier that they keep in the home
-# folder; it reads this when it is first imported. A robot's service calls nobody.
-os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+import typing
 
-__version__ = "0.1.0"
+if typing.TYPE_CHECKING:
+    from service.in_process import localize
+
+__all__ = ["localize"]
+
+
+def __getattr__(name: str) -> typing.Any:
+    """``localize``, once it is asked for."""
+    if name != "localize":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from service.in_process import localize
+
+    return localize

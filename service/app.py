@@ -1,4 +1,8 @@
-"""The ASGI application: ``uvicorn --factory service.app:create_app`` or ``neuralmusic serve``."""
+"""The ASGI application, which ``neuralmusic serve`` runs.
+
+Another ASGI server takes ``service.app:create_app`` as a factory; the variables of
+``service.machine.environment`` are then for whoever starts it to set.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +14,10 @@ from fastapi import FastAPI
 from fastapi.routing import APIRoute
 from starlette.types import ASGIApp
 
-from service import __version__
+from neuralmusic import __version__
 from service.api import admin, catalog, localize, metrics, noise, page, probes, sessions, stream
 from service.api.contract.keys import document_guard
+from service.api.contract.localize import document_answer
 from service.api.middleware.body_deadline import BodyDeadline
 from service.api.middleware.body_limit import BodyLimit
 from service.api.middleware.guard import Guard
@@ -33,24 +38,24 @@ y left, z up). Positions are metres, times seconds. Errors are RFC 9457 problems
 
 TAGS = [
     {"name": "localization", "description": "Recordings in, directions out."},
-    {"name": "streams", "description": "Who streams, what they get. The stream itself is /stream."},
+    {"name": "streams", "description": "Running streams and their results. They use /stream."},
     {"name": "noise", "description": "Profiles of the robot's own noise."},
     {"name": "catalog", "description": "What requests may name."},
     {"name": "service", "description": "Web page and probes."},
 ]
 
 PARTS = (localize, stream, sessions, noise, catalog, admin, probes, metrics, page)
-"""Modules with a router each"""
+"""Modules of the API, each with a router"""
 
 
 class DocumentedApp(FastAPI):
-    """FastAPI whose requests are watched, and whose document has ``Problem`` and the keys.
+    """FastAPI with ``RequestWatch`` around it, and with ``Problem`` and the keys in its document.
 
-    No endpoint's type mentions them.
+    No endpoint's type mentions these two.
     """
 
     def build_middleware_stack(self) -> ASGIApp:
-        """Starlette's own, watched from outside of its answer to a defect."""
+        """Starlette's stack, watched from outside its answer to unexpected errors."""
         paths = [route.path for part in PARTS for route in part.router.routes]
         documents = [path for path in (self.openapi_url, self.docs_url) if path]
         stack = super().build_middleware_stack()
@@ -60,7 +65,7 @@ class DocumentedApp(FastAPI):
         document = super().openapi()
         schemas = document["components"]["schemas"]
         schemas.setdefault("Problem", Problem.model_json_schema())
-        # FastAPI promises its own 422 wherever there is a parameter, were it any text.
+        # FastAPI documents its own 422 wherever there is a parameter, even if any text is valid.
         for name in ("HTTPValidationError", "ValidationError"):
             schemas.pop(name, None)
         for path in document["paths"].values():
@@ -68,6 +73,7 @@ class DocumentedApp(FastAPI):
                 if operation["responses"].get("422", {}).get("description") == "Validation Error":
                     del operation["responses"]["422"]
         document_guard(document)
+        document_answer(document)
         return document
 
 

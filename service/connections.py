@@ -1,7 +1,7 @@
-"""What a connection may keep the service waiting for, and when its socket is read.
+"""Deadlines and back-pressure of connections.
 
-uvicorn itself waits for ever. A request's head has a deadline (slow-loris), and so has what a peer
-does not take, by the system's own timer. A request's body has one in
+uvicorn itself waits for ever. Here a request's head has a deadline (slow-loris), and so has data
+that a peer does not acknowledge, by the system's own timer. A request's body has one in
 ``service.api.middleware.body_deadline``, a stream's messages in ``service.streaming.session``.
 """
 
@@ -17,26 +17,26 @@ from uvicorn.protocols.http.flow_control import CLOSE_HEADER
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
+from neuralmusic.errors import ConfigError, RequestTimeout
 from service.api.problems import problem_response
-from service.errors import ConfigError, RequestTimeout
 
 HEAD_TIMEOUT_S = 10.0
-"""From the connection, or from a further request's first byte, to the end of a request's head"""
+"""Seconds for a request's head, from the connection or a further request's first byte"""
 UNTAKEN_TIMEOUT_S = 20
-"""In which a peer must acknowledge some of what waits for it: behind a cut network, or a client
-that never reads, a socket and its session would else stay for a quarter of an hour or for ever"""
+"""Seconds within which a peer must acknowledge data; behind a cut network, or with a client that
+never reads, a socket and its session would else stay for a quarter of an hour or for ever"""
 
 MESSAGES_HELD = 4
-"""Of a stream that the application has not taken, from which on its socket is not read"""
+"""Queued messages of a stream at which its socket is no longer read"""
 
 
 class HttpProtocol(H11Protocol):
-    """uvicorn's connection, closed where what comes never becomes a request."""
+    """uvicorn's connection, closed where its bytes never become a request."""
 
     _deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take a connection; its first request is due."""
+        """Take a connection and start the deadline of its first request."""
         super().connection_made(transport)
         self._watch()
 
@@ -46,7 +46,7 @@ class HttpProtocol(H11Protocol):
         self._watch()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """Hand the connection over; uvicorn would leave a handshake that is none open for ever."""
+        """Hand the connection over; uvicorn would leave an invalid handshake open for ever."""
         super().handle_websocket_upgrade(event)
         taken = self.transport.get_protocol()
         if not getattr(taken, "handshake_initiated", True):
@@ -58,9 +58,9 @@ class HttpProtocol(H11Protocol):
         super().connection_lost(exc)
 
     def _watch(self) -> None:
-        """Let the deadline run while no request is being answered."""
+        """Run the deadline while no request is being answered."""
         answering = self.cycle is not None and not self.cycle.response_complete
-        upgraded = self.transport.get_protocol() is not self  # to the WebSocket's
+        upgraded = self.transport.get_protocol() is not self  # to a WebSocket
         if answering or upgraded:
             self._unwatch()
         elif self._deadline is None:
@@ -92,14 +92,14 @@ class HttpProtocol(H11Protocol):
 
 
 class StreamProtocol(WebSocketsSansIOProtocol):
-    """uvicorn's WebSocket for clients that send much and are held back now and then.
+    """uvicorn's WebSocket with back-pressure for clients that send much.
 
-    uvicorn stops reading with every message until the application has taken it, which are two
-    system calls: a tenth of what a robot's message costs. This one reads on while few wait.
+    uvicorn pauses reading after every message until the application has taken it. These two system
+    calls are a tenth of what a robot's message costs; this class reads on while few messages wait.
     """
 
     _heard = 0.0
-    """When something came, by the loop's clock"""
+    """Loop time at which data last arrived"""
 
     def data_received(self, data: bytes) -> None:
         """Take bytes of a client."""
@@ -107,7 +107,7 @@ class StreamProtocol(WebSocketsSansIOProtocol):
         super().data_received(data)
 
     def keepalive_timeout(self) -> None:
-        """Cut off a client that does not answer a ping; not one whose pong waits behind audio."""
+        """Cut off a client that does not answer a ping, unless its pong may wait behind audio."""
         if self.read_paused or self._heard > self.ping_sent_at:
             self.ping_sent_at = self.loop.time()
             self.pong_timer = self.loop.call_later(self.ping_timeout or 0, self.keepalive_timeout)
@@ -115,16 +115,16 @@ class StreamProtocol(WebSocketsSansIOProtocol):
             super().keepalive_timeout()
 
     def shutdown(self) -> None:
-        """End with the service; a client that has yet to read its last words answers the close."""
+        """Close with the service, unless a close frame was sent and awaits the client's."""
         if not (self.close_sent and self.close_timer):
             super().shutdown()
 
     def send_receive_event_to_app(self) -> None:
-        """Queue a message that came."""
+        """Queue a received message."""
         if self.read_paused or self.close_sent:
             super().send_receive_event_to_app()
             return
-        self.read_paused = True  # so that it is not paused in there
+        self.read_paused = True  # keeps uvicorn from pausing it
         super().send_receive_event_to_app()
         self.read_paused = self.queue.qsize() >= MESSAGES_HELD
         if self.read_paused:
@@ -154,9 +154,9 @@ def check_address(host: str, port: int) -> None:
 
 
 def limit_untaken(listening: socket.socket) -> None:
-    """End this socket's connections where the peer takes nothing (Linux: ``TCP_USER_TIMEOUT``).
+    """End connections whose peer acknowledges nothing (Linux: ``TCP_USER_TIMEOUT``).
 
-    Without it asyncio waits as long as TCP does to send what is left, before it closes.
+    Otherwise asyncio would wait as long as TCP does to send what is left before it closes.
     """
     over_tcp = listening.family in (socket.AF_INET, socket.AF_INET6)
     if over_tcp and hasattr(socket, "TCP_USER_TIMEOUT"):

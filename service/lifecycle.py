@@ -1,10 +1,10 @@
-"""How far the service is on its way out; everything that refuses work because of it asks here."""
+"""The phases of a graceful shutdown; whatever refuses work because of it asks here."""
 
 from __future__ import annotations
 
 from enum import IntEnum
 
-from service.errors import Draining
+from neuralmusic.errors import Draining
 
 
 class Phase(IntEnum):
@@ -12,21 +12,21 @@ class Phase(IntEnum):
 
     READY = 0
     LEAVING = 1
-    """Report not ready, keep accepting: whoever balances loads should send nothing new"""
+    """Report not ready, keep accepting: load balancers should send new work elsewhere"""
     DRAINING = 2
-    """Accept nothing new; what runs is finished"""
+    """Accept nothing new, finish running work"""
     ENDING = 3
-    """What still runs is ended"""
+    """Stop what still runs"""
 
 
 class Lifecycle:
-    """The phase of one service; it never goes back."""
+    """The phase of one service; it only moves forward."""
 
     def __init__(self) -> None:
         self._phase = Phase.READY
 
     def enter(self, phase: Phase) -> None:
-        """Go on to a phase; an earlier one than the present changes nothing."""
+        """Move to a phase; an earlier one than the present changes nothing."""
         self._phase = max(self._phase, phase)
 
     def reached(self, phase: Phase) -> bool:

@@ -10,7 +10,7 @@ from service.settings import Settings
 
 
 def document_yaml() -> str:
-    """The document of the application as it is checked in.
+    """The application's document as it is checked in.
 
     Raises
     ------
@@ -20,7 +20,7 @@ def document_yaml() -> str:
     import yaml  # type: ignore[import-untyped]
 
     class Dumper(yaml.SafeDumper):  # type: ignore[misc]
-        """Writes texts of several lines as such."""
+        """Writes texts of several lines as blocks."""
 
         def represent_str(self, text: str) -> Any:
             style = "|" if "\n" in text else None
@@ -40,7 +40,7 @@ def main() -> int:
     try:
         sys.stdout.write(document_yaml())
     except ModuleNotFoundError as error:
-        print(f"{error}: pip install 'neuralmusic[dev]'", file=sys.stderr)
+        print(f"{error}: pip install ./client '.[dev]'", file=sys.stderr)
         return 1
     return 0
 

@@ -15,11 +15,11 @@ from contextlib import suppress
 import uvicorn
 from fastapi import FastAPI
 
+from neuralmusic.errors import ReloadRefused
 from service.api.middleware.hosts import is_loopback
 from service.api.state import ServiceState
 from service.app import create_app
 from service.connections import HttpProtocol, StreamProtocol, check_address, limit_untaken
-from service.errors import ReloadRefused
 from service.lifecycle import Phase
 from service.observability.logs import configure_logging, server_log_level
 from service.settings import Settings
@@ -28,14 +28,14 @@ from service.startup import load_registry
 log = logging.getLogger(__name__)
 
 WS_MAX_SIZE = 2**20
-"""Bytes of a WebSocket message; the stream says what is wrong from 64 KiB on, beyond this only a
-close frame does"""
+"""Most bytes of a WebSocket message: above 64 KiB the stream sends an error, above this only a
+close frame follows"""
 FAREWELL = 5
-"""Seconds in which streams get their last words, and then those whose recordings took too long"""
+"""Seconds for the last messages of streams, and then for the answers to unfinished recordings"""
 
 
 class Server(uvicorn.Server):
-    """uvicorn that tells its address once it listens, and tells clients when it stops."""
+    """uvicorn that announces its address once it listens, and warns clients before it stops."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class Server(uvicorn.Server):
         await super().startup(sockets)
         for listening in (each for server in self.servers for each in server.sockets):
             limit_untaken(listening)
-        with suppress(NotImplementedError, ValueError, RuntimeError):  # no signals there
+        with suppress(NotImplementedError, ValueError, RuntimeError):  # not on every system
             asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, self._hang_up)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGHUP})
         if self._announce and self.started:
@@ -62,10 +62,10 @@ class Server(uvicorn.Server):
             self._announce(f"http://{f'[{host}]' if ':' in host else host}:{port}")
 
     def _hang_up(self) -> None:
-        """SIGHUP: read the models again, as daemons read their configuration."""
+        """Reload models and keys on SIGHUP, as daemons reload their configuration."""
 
         async def reload() -> None:
-            with suppress(ReloadRefused):  # it was logged
+            with suppress(ReloadRefused):  # logged already
                 await self._state.reload()
 
         task = asyncio.get_running_loop().create_task(reload())
@@ -77,7 +77,7 @@ class Server(uvicorn.Server):
         grace = self._state.settings.drain_grace_s
         lifecycle = self._state.lifecycle
         asyncio.get_running_loop().call_later(grace, lifecycle.enter, Phase.ENDING)
-        # uvicorn would cut the sockets before the application hears of it.
+        # uvicorn would close the sockets before the application learns of it.
         self._state.drain()
         with suppress(TimeoutError):
             async with asyncio.timeout(FAREWELL):
@@ -85,12 +85,12 @@ class Server(uvicorn.Server):
         await super().shutdown(sockets)
 
     async def _wait_for_proxies(self) -> None:
-        """Report not ready, keep accepting: a proxy looks only now and then."""
+        """Report not ready, keep accepting: a proxy polls only now and then."""
         state = self._state
         state.lifecycle.enter(Phase.LEAVING)
         began = time.monotonic()
         while time.monotonic() - began < state.settings.drain_delay_s:
-            if self.force_exit:  # which uvicorn itself looks at now and then
+            if self.force_exit:  # uvicorn itself polls it, too
                 return
             await asyncio.sleep(0.1)
 
@@ -109,11 +109,11 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
     """
     configure_logging(settings)
     warn_if_open(settings)
-    # uvicorn raises a signal again once it has drained, which would look like a failure; and the
-    # first process of a container ignores SIGTERM until somebody handles it.
+    # uvicorn raises a signal again once it has drained, which would look like a failure. The
+    # first process of a container ignores SIGTERM until it has a handler.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     if sys.platform != "win32":
-        # It would end the process: until somebody handles it, the system keeps it.
+        # SIGHUP would end the process: block it until there is a handler.
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
     check_address(settings.host, settings.port)  # before seconds are spent on models
     app = create_app(settings, load_registry(settings))
@@ -121,7 +121,7 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
 
 
 def warn_if_open(settings: Settings) -> None:
-    """Say loudly that everybody in the network may do everything, where that is so."""
+    """Warn loudly where everybody in the network may do everything."""
     if settings.keys is None and not is_loopback(settings.host):
         log.warning(
             "NO API KEYS: the service listens on %s, and whoever reaches it there may localize, "
@@ -133,10 +133,10 @@ def warn_if_open(settings: Settings) -> None:
 
 
 def worth_a_line(record: logging.LogRecord) -> bool:
-    """Whether uvicorn's line is worth one; the application logs requests and streams itself.
+    """Whether to keep a line of uvicorn's; the application logs requests and streams itself.
 
-    uvicorn takes a handshake that was refused with a response for one that was forgotten,
-    shows handshakes with their query, and a client's text that is no UTF-8 with a traceback.
+    uvicorn reports a handshake refused with a response as forgotten, shows the query of handshakes,
+    and logs a traceback for a client's text that is not UTF-8.
     """
     return not str(record.msg).startswith(
         (
@@ -149,9 +149,9 @@ def worth_a_line(record: logging.LogRecord) -> bool:
 
 
 def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
-    """How uvicorn runs the application."""
+    """uvicorn's configuration for the application."""
     logging.getLogger("uvicorn.error").addFilter(worth_a_line)
-    # What is wrong with a form is said to its sender; others could fill the log with it.
+    # Errors of a form go to its sender; in the log they would let anybody fill it.
     logging.getLogger("python_multipart").setLevel(logging.ERROR)
     return uvicorn.Config(
         app,

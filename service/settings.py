@@ -1,8 +1,8 @@
 """Every setting of the service: its unit, its default, its environment variable.
 
 A flag wins over the environment (``NEURALMUSIC_PORT`` for ``port``), which wins over the default.
-A name ends with its unit where it has one: ``_s``, ``_seconds``, ``_bytes``. What ends with
-``workers`` is a pool of processes, ``processes`` are those that share the work of one recording.
+A name ends with its unit where it has one: ``_s``, ``_seconds``, ``_bytes``. Names that end with
+``workers`` size a pool of processes; ``processes`` share the work of one recording.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from pydantic import Field, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from neuralmusic.errors import ConfigError
 from service.access.key_file import TOKEN
-from service.errors import ConfigError
 from service.machine.cpus import usable_cpus
 
 PREFIX = "NEURALMUSIC_"
 KEY_VARIABLE = f"{PREFIX}KEY"
-"""Holds the key that a client sends; no setting of the service"""
+"""Variable with the key that a client sends; it is not a setting of the service"""
 
 GRACE = 10.0
-"""Seconds that recordings in work get to finish after SIGTERM, by default"""
+"""Default seconds for running recordings to finish after SIGTERM"""
 
 RENAMED = {
     "threads": "processes",
@@ -39,7 +39,7 @@ RENAMED = {
     "drain_delay": "drain_delay_s",
     "drain_grace": "drain_grace_s",
 }
-"""Former names of settings; they are refused, and the new name is told"""
+"""Former names of settings; a setting with one is refused with its new name"""
 
 LogLevel = Literal["critical", "error", "warning", "info", "debug"]
 LogFormat = Literal["text", "json"]
@@ -57,7 +57,7 @@ class Settings(BaseSettings):
     )
 
     host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0 or :: for all"""
+    """Address to listen on; 0.0.0.0 or :: for all addresses"""
     port: int = Field(8000, ge=0, le=65535)
     """TCP port; 0 takes a free one"""
     models: Annotated[tuple[Path, ...], NoDecode] = ()
@@ -69,7 +69,7 @@ class Settings(BaseSettings):
     processes: int = Field(default_factory=usable_cpus, ge=1, le=64)
     """Processes that compute the windows of one recording; by default the usable CPUs"""
     queue: int = Field(16, ge=0, le=10_000)
-    """Recordings that may wait for a worker; further ones get 503"""
+    """Most recordings that wait for a worker; further ones get 503"""
     stall_timeout_s: float = Field(60.0, ge=1, le=3600)
     """Seconds without progress after which the worker of a recording is stopped"""
     max_upload_bytes: int = Field(512 * 2**20, ge=1024)
@@ -81,37 +81,37 @@ class Settings(BaseSettings):
     max_channels: int = Field(64, ge=2, le=1024)
     """Most channels of a recording"""
     max_sessions: int = Field(64, ge=0, le=100_000)
-    """Streams at the same time; further ones get 503"""
+    """Most streams at the same time; further ones get 503"""
     max_sessions_per_client: int = Field(8, ge=1, le=100_000)
-    """Streams of one client name at the same time"""
+    """Most streams of one client name at the same time"""
     stream_workers: int = Field(default_factory=usable_cpus, ge=1, le=256)
-    """Most processes that compute streams, many each at a time, started as streams come; by default
-    the usable CPUs"""
+    """Most processes that compute streams, several each, started as streams come; by default the
+    usable CPUs"""
     stream_buffer_s: float = Field(0.5, ge=0.05, le=60)
-    """Seconds of a stream's audio that may wait; older audio is dropped"""
+    """Most seconds of a stream's audio that wait; older audio is dropped"""
     idle_timeout_s: float = Field(30.0, gt=0, le=86_400)
     """Seconds without any message after which a stream ends"""
     max_session_s: float = Field(86_400.0, gt=0)
-    """Seconds that a stream lasts at most"""
+    """Longest stream in seconds"""
     origins: Annotated[tuple[str, ...], NoDecode] = ()
-    """Origins of web pages that may open streams and post, besides the service's own, by commas; *
-    for all"""
+    """Origins of web pages that may use the service besides its own, separated by commas; * for
+    all"""
     hosts: Annotated[tuple[str, ...], NoDecode] = ()
-    """Names by which requests may call the service, by commas; * for all; by default any, but on
+    """Host names that requests may use, separated by commas, * for any; by default any, but on
     loopback without keys only localhost, names without a dot and addresses"""
     keys: Path | None = None
     """File of the API keys (neuralmusic key new); without it everybody may do everything"""
     noise_folder: Path | None = None
-    """Folder in which noise profiles outlive the process; without it they are kept in memory"""
+    """Folder that keeps noise profiles across restarts; without it they are kept in memory"""
     drain_delay_s: float = Field(0.0, ge=0, le=3600)
-    """Seconds after SIGTERM in which /readyz is 503 but new work is still taken, so that no proxy
-    sends it in vain"""
+    """Seconds after SIGTERM in which /readyz is 503 but new work is still accepted, until proxies
+    have noticed"""
     drain_grace_s: float = Field(GRACE, ge=0, le=86_400)
-    """Seconds that recordings in work then get to finish"""
+    """Seconds that running recordings then get to finish"""
     log_level: LogLevel = "info"
     """Least severe messages that are logged: critical, error, warning, info or debug"""
     log_format: LogFormat = "text"
-    """How they are written: text for people, or json, one object a line"""
+    """Format of the log: text for people, or json, one object a line"""
     traces: str | None = None
     """OTLP/HTTP endpoint that gets traces, such as http://collector:4318; needs the extra otel"""
 
@@ -131,7 +131,7 @@ class Settings(BaseSettings):
     @classmethod
     def _check_endpoint(cls, value: str | None) -> str | None:
         if value is not None and not re.fullmatch(r"https?://[^/\s]\S*", value):
-            raise ValueError("must be an address as http://collector:4318")
+            raise ValueError("must be an address such as http://collector:4318")
         return value
 
 
@@ -172,11 +172,11 @@ def _refuse_unknown(environment: Mapping[str, str]) -> None:
             )
         field = name.upper().removeprefix(PREFIX).lower()
         if name == KEY_VARIABLE:
-            # It is read by clients on the same machine; a path in it is meant for `keys`.
+            # Clients on the same machine read it; a path in it was meant for `keys`.
             if value and TOKEN.fullmatch(value) is None:
                 raise ConfigError(
-                    f"{KEY_VARIABLE} holds no key: it is a client's, as neuralmusic key new prints "
-                    f"them; the service's file of keys is {variable('keys')}"
+                    f"{KEY_VARIABLE} holds no key: it takes a client's key, as neuralmusic key new "
+                    f"prints it; the service's file of keys is {variable('keys')}"
                 )
             continue
         if field not in Settings.model_fields:
@@ -184,7 +184,7 @@ def _refuse_unknown(environment: Mapping[str, str]) -> None:
 
 
 def _unknown(what: str, name: str, spell: Callable[[str], str]) -> str:
-    """A sentence about a setting that does not exist, spelt as a variable or a flag."""
+    """An error sentence for an unknown setting, spelt as a variable or a flag."""
     if name in RENAMED:
         return f"{spell(name)} is now {spell(RENAMED[name])}"
     known = list(Settings.model_fields)

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from service.machine.environment import prepare_process
+
+prepare_process()  # as every process of the service does, before numpy is imported
+
 import numpy as np
 import pytest
 

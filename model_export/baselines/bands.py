@@ -1,8 +1,8 @@
-"""Narrow bands of a window: their snapshots, covariances and the ideal ones.
+"""Narrow bands of a window: snapshots, sample covariances and ideal covariances.
 
-The subspace methods of the comparison were published for one narrow band. Here they see a choice of
-STFT bins: frames are a band's snapshots, scaled to unit mean power over microphones and frames so
-that every band has its say.
+The subspace methods of the comparison were published for one narrow band. Here a selection of STFT
+bins are the bands and frames their snapshots, scaled to unit mean power over microphones and frames
+so that all bands count alike.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from service.doa.features import LEVEL_FLOOR, LEVEL_SCALE
 from service.doa.types import FloatArray
 
 CITED_BANDS = 10
-"""As many as DA-MUSIC's broadband variants have"""
+"""Number of bands as cited, that of DA-MUSIC's broadband variants"""
 MATCHED_BANDS = 32
 LOWEST, HIGHEST = 300.0, 3500.0
-"""Hertz: speech below the spatial aliasing of a square of 46 mm"""
+"""Hertz; the band of speech below the spatial aliasing of a 46 mm square"""
 
 
 def band_bins(count: int) -> tuple[int, ...]:
-    """So many STFT bins at equal distances from ``LOWEST`` to ``HIGHEST``."""
+    """``count`` STFT bins, evenly spaced from ``LOWEST`` to ``HIGHEST``."""
     wanted = np.linspace(LOWEST, HIGHEST, count) * STFT.n_fft / STFT.sample_rate
     return tuple(int(index) for index in wanted.round())
 
@@ -41,10 +41,11 @@ def band_snapshots(audio: FloatArray, bins: Sequence[int]) -> Tensor:
 
 
 def matched_snapshots(features: Tensor, bins: Sequence[int]) -> Tensor:
-    """Snapshots (B, N, K, 64) complex, of the matched track's features (B, 2N, 257, 64).
+    """Snapshots (B, N, K, 64) complex from the matched track's features (B, 2N, 257, 64).
 
-    The same as ``band_snapshots`` but for the phase of microphone 0, which is zero: channels 0 to
-    N - 1 are real parts of unit vectors, N is the level, the others are imaginary parts.
+    They equal those of ``band_snapshots``, except that microphone 0 has phase zero. Channels 0 to
+    N - 1 of the features are real parts of unit vectors, channel N is the level, the others are
+    imaginary parts.
     """
     cells = features[:, :, list(bins)].float()
     microphones = cells.shape[1] // 2
@@ -55,9 +56,9 @@ def matched_snapshots(features: Tensor, bins: Sequence[int]) -> Tensor:
 
 
 def lagged_covariances(snapshots: Tensor, lags: int) -> Tensor:
-    """E[x(t) x(t + lag)^H] for lags from 0: (B, K, lags, N, N) of snapshots (B, N, K, L).
+    """E[x(t) x(t + lag)^H] for lags from 0: (B, K, lags, N, N) from snapshots (B, N, K, L).
 
-    Lag 0 alone is the sample covariance; its trace is N.
+    Lag 0 is the sample covariance; its trace is N.
     """
     by_band = snapshots.transpose(1, 2)  # (B, K, N, L)
     frames = by_band.shape[-1]
@@ -68,9 +69,9 @@ def lagged_covariances(snapshots: Tensor, lags: int) -> Tensor:
 
 
 def ideal_covariance(array: MicrophoneArray, truth: Truth, frequencies: FloatArray) -> Tensor:
-    """Of sources of equal power without noise: (B, K, N, N) complex, with a trace of N.
+    """Covariances (B, K, N, N) complex of noiseless sources of equal power, with a trace of N.
 
-    Zero where there is no source.
+    They are zero where there is no source.
     """
     azimuth = truth.azimuth.double().cpu().numpy()
     delays = np.stack([steering_delays(array.positions, row) for row in azimuth])
@@ -92,7 +93,7 @@ def hermitian_planes(parts: Tensor) -> Tensor:
 
 
 def gram_planes(parts: Tensor, loading: float) -> Tensor:
-    """K K^H + loading I of K (..., 2, N, N): Hermitian, no eigenvalue below ``loading``."""
+    """K K^H + loading I from K (..., 2, N, N): Hermitian, no eigenvalue below ``loading``."""
     real, imaginary = parts.unbind(-3)
     identity = loading * torch.eye(real.shape[-1], device=real.device)
     return torch.stack(
@@ -105,6 +106,6 @@ def gram_planes(parts: Tensor, loading: float) -> Tensor:
 
 
 def _unit_power(snapshots: Tensor) -> Tensor:
-    """Scaled to a mean |x|^2 of 1 in every band."""
+    """Scale snapshots (B, N, K, L) to a mean |x|^2 of 1 in every band."""
     power = (snapshots.real.square() + snapshots.imag.square()).mean((1, 3), keepdim=True)
     return snapshots / power.clamp(min=1e-20).sqrt()

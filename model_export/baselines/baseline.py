@@ -13,20 +13,20 @@ from model_export.baselines.network import BaselineNetwork
 
 
 class NetworkConstructor(Protocol):
-    """A network with fresh parameters; width 1 is the cited size, of hidden layers."""
+    """Constructor of a network with fresh parameters; width 1 has the cited hidden sizes."""
 
     def __call__(self, num_microphones: int, *, width: float = 1.0) -> BaselineNetwork: ...
 
 
 class TrunkConstructor(Protocol):
-    """A trunk (``model_export.baselines.matched``) with fresh parameters."""
+    """Constructor of a trunk (``model_export.baselines.matched``) with fresh parameters."""
 
     def __call__(self, num_microphones: int, *, width: float = 1.0) -> nn.Module: ...
 
 
 @dataclass(frozen=True, slots=True)
 class LearnedBaseline:
-    """Both tracks of a method and the widths at which a CPU trains them in the time there is."""
+    """Both tracks of a method, and the widths at which a CPU can train them."""
 
     card: Card
     cited: NetworkConstructor
@@ -35,9 +35,9 @@ class LearnedBaseline:
     trunk_width: float = 1.0
 
     def matched(self, num_microphones: int, *, width: float | None = None) -> BaselineNetwork:
-        """The trunk in the matched track, at ``trunk_width`` where no width is given.
+        """The trunk in the matched track, by default at ``trunk_width``.
 
-        Trunks that name ``bins`` estimate covariances, the others give an embedding.
+        Trunks with an attribute ``bins`` estimate covariances, the others return an embedding.
         """
         trunk = self.trunk(num_microphones, width=self.trunk_width if width is None else width)
         network = MatchedSubspace if hasattr(trunk, "bins") else MatchedSpectrum

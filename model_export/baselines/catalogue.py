@@ -21,18 +21,18 @@ ORDER = (
     "unet_rootmusic", "transmusic", "neuralmusic",
 )  # fmt: skip
 MICROPHONES = 4
-"""Of the array that parameters are counted for"""
+"""Number of microphones for which parameters are counted"""
 
 
 @cache
 def classical() -> Mapping[str, Method]:
-    """The methods without parameters."""
+    """Classical methods by name."""
     return {method.card.name: method for method in classical_methods()}
 
 
 @cache
 def learned() -> Mapping[str, LearnedBaseline]:
-    """The networks that NeuralMUSIC is compared with."""
+    """Networks by name that NeuralMUSIC is compared with."""
     return {**learned_methods(), **hybrid_methods()}
 
 
@@ -59,9 +59,9 @@ def network(
     Parameters
     ----------
     track : str
-        NeuralMUSIC has one only, the matched one being its own.
+        NeuralMUSIC has one track only, its own: the matched one.
     reduced : bool
-        Of the width that a CPU trains in minutes, where the cited one is too heavy for it.
+        Takes the width that a CPU can train in minutes, if the cited one is too heavy.
     attention : bool
         False leaves NeuralMUSIC's frequencies unweighted.
 
@@ -81,7 +81,7 @@ def network(
 
 
 def described() -> list[dict[str, Any]]:
-    """What ``methods --json`` prints of every method; parameters are those of the cited network."""
+    """Entries of ``methods --json``; parameters are those of the cited networks."""
     return [
         {
             "name": name,

@@ -1,17 +1,17 @@
 """CSSM and WAVES, coherent subspaces by focusing, through pyroomacoustics.
 
-Both turn every bin's spatial statistics to one reference bin with focusing matrices that map the
-steering vectors of preliminary directions from one frequency to the other, average there, and read
-a MUSIC spectrum; its peaks are the next round's directions. CSSM averages covariances, WAVES joins
-weighted signal subspaces.
+Both focus every bin's spatial statistics on one reference bin: focusing matrices map the steering
+vectors of preliminary directions from each frequency to the reference's. There the statistics are
+averaged into a MUSIC spectrum, whose peaks are the next iteration's directions. CSSM averages
+covariances, WAVES joins weighted signal subspaces.
 
-The library (0.10) is mended in two places. Its focusing matrices are exactly singular where two
-directions mirror each other about the line through the first two microphones, which raised
-``LinAlgError`` in a tenth of the windows with two talkers; ours are unitary (Hung and Kaveh, 1988,
-Focussing matrices for coherent signal-subspace processing) and always exist. And it drops bins
-whose beamformer shows fewer peaks than sources without dropping their covariances, so that bins
-meet the statistics of others; here only bins without that want come in. Where there is no such bin
-the sources are focused on together, with one direction less.
+Two defects of the library (0.10) are corrected. Its focusing matrices are exactly singular where
+two directions mirror each other about the line through the first two microphones, which raises
+``LinAlgError`` in a tenth of the windows with two talkers; ours are unitary and always exist (Hung
+and Kaveh, 1988, Focussing matrices for coherent signal-subspace processing). It also drops bins
+whose beamformer has fewer peaks than sources but keeps their covariances, so that bins and
+statistics do not match; here only bins with enough peaks are passed to it. If there is no such
+bin, one direction less is sought.
 """
 
 from __future__ import annotations
@@ -47,25 +47,24 @@ WAVES_CARD = Card(
     "as CSSM; weights that do not change with the recording's level",
 )
 BAND = (1000.0, 3500.0)
-"""Hertz; the answer is read at the loudest bin, where a small array has to tell directions apart,
-which at the 300 Hz of a voice's first harmonics it does not"""
+"""Hertz; the spectrum is that of the loudest bin, at which a small array must resolve directions;
+at 300 Hz, a voice's first harmonics, it does not"""
 IDENTITY = 0.01
-"""Weight of the identity against the directions in the choice of a focusing matrix: it settles
-what happens to the dimensions that no direction names, and 0.3 would bend those of a 12 cm line by
-2 degrees and more"""
+"""Weight of the identity relative to the directions in a focusing matrix. It determines the
+dimensions that no direction spans; 0.3 would bias a 12 cm line's directions by 2 degrees or more"""
 TINY = np.finfo(np.float64).tiny
 
 
 class _Focusing:
-    """What replaces or speeds up parts of the library's two classes, whose names these are."""
+    """Methods that override parts of the library's two classes, under their names."""
 
     freq_bins: IntArray
     grid: Any
     steering: ComplexArray
-    """(F, N, A) complex128 on all bins: single precision gives flat beamformers many false peaks"""
+    """(F, N, A) complex128 of all bins; single precision gives flat beamformers false peaks"""
 
     def separating(self, spectra: ComplexArray, bins: IntArray, count: int) -> IntArray:
-        """Those of the bins whose beamformer has ``count`` peaks, as the library counts them."""
+        """Select the bins whose beamformer has ``count`` peaks, as the library counts them."""
         covariance = sample_covariance(spectra[:, bins])
         kept = []
         for matrix, place in zip(covariance, bins, strict=True):
@@ -77,16 +76,16 @@ class _Focusing:
         return sample_covariance(spectra[:, self.freq_bins])
 
     def _compute_spatial_spectrum(self, matrix: ComplexArray, place: int) -> FloatArray:
-        """1 / |a^H R a| (A,), the library's without its loop over azimuths."""
+        """1 / |a^H R a| (A,), like the library's but without a loop over azimuths."""
         steering = self.steering[place]
         power = np.abs(np.sum(steering.conj() * (matrix @ steering), axis=0))
         spectrum: FloatArray = 1 / np.maximum(power, TINY)
         return spectrum
 
     def focusing(self, reference: int, directions: Any) -> ComplexArray:
-        """Unitary T (F, N, N) nearest to T a_k = a_0 for the directions (F, K), grid indices.
+        """Unitary T (F, N, N) nearest to T a_k = a_0 for directions (F, K), grid indices.
 
-        It minimises the squared error of the directions and IDENTITY times that from I.
+        It minimises the squared error of the directions plus IDENTITY times the squared error to I.
         """
         chosen = np.asarray(directions)[:, None, :]  # (F, 1, K)
         source = np.take_along_axis(self.steering[self.freq_bins], chosen, axis=-1)
@@ -114,8 +113,8 @@ class _Waves(_Focusing, WAVES):  # type: ignore[misc]
     ) -> None:
         """Columns of all bins' signal subspaces, focused and weighted: ``Z`` (N, F K).
 
-        The weights (l - s) / sqrt(l s) of eigenvalues l over the noise s; the library adds 1 under
-        the root, which makes them depend on the recording's level.
+        The weights are (l - s) / sqrt(l s) for eigenvalues l and the noise's s. The library adds 1
+        under the root, which makes them depend on the recording's level.
         """
         values, vectors = np.linalg.eigh(covariance.astype(np.complex128))
         signal, noise = values[:, -self.num_src :], values[:, [-self.num_src - 1]]
@@ -126,7 +125,7 @@ class _Waves(_Focusing, WAVES):  # type: ignore[misc]
 
 
 class _Coherent(ToldMethod[tuple[Any, BoolArray]]):
-    """A coherent method; ``failures`` counts windows in which no bin showed enough peaks."""
+    """A coherent method; ``failures`` counts the windows in which no bin has enough peaks."""
 
     finder: Any
 

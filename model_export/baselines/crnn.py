@@ -23,9 +23,9 @@ CARD = Card(
 )
 NUM_MELS = 64
 LAGS = np.arange(-NUM_MELS / 2, NUM_MELS / 2)
-"""As many as mel bands, so that both are channels of one map"""
+"""Lags in samples, as many as mel bands, so that both are channels of one map"""
 WINDOW, HOP, N_FFT = 320, 160, 2048
-"""20 ms, 10 ms and the transform's length in samples"""
+"""Samples of a window (20 ms), a hop (10 ms) and a transform"""
 CHANNELS = (32, 64, 128)
 HIDDEN = 128
 DROPOUT = 0.05
@@ -34,10 +34,10 @@ Pooling = tuple[int, int]
 
 
 class RecurrentTrunk(nn.Module):
-    """Three convolution blocks, two layers of BiGRU: (B, C, H, W), W being time, to (B, D).
+    """Three convolution blocks and two BiGRU layers: maps (B, C, H, W), W being time, to (B, D).
 
-    The two directions' outputs are multiplied and the last step's is taken, as in the publication.
-    ``poolings`` are those of the blocks over height and time.
+    The output is the product of both directions at the last step, as in the publication.
+    ``poolings`` are the blocks' poolings over height and time.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class RecurrentTrunk(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         blocks = self.blocks(features).flatten(1, 2).mT  # (B, W', C' H')
-        # The recurrence's small products gain nothing from bfloat16 and lose digits over the steps.
+        # bfloat16 makes the recurrence's small products no faster and loses digits over the steps.
         with torch.autocast(features.device.type, enabled=False):
             steps, _ = self.recurrent(blocks.float())  # (B, W', 2 D)
             onward, backward = steps[:, -1].chunk(2, -1)
@@ -75,10 +75,10 @@ def _block(inputs: int, outputs: int, pooling: Pooling) -> nn.Sequential:
 
 
 class CrnnTrunk(RecurrentTrunk):
-    """The matched track's: (B, 2N, 257, 64) to (B, 128).
+    """The trunk of the matched track: maps (B, 2N, 257, 64) to (B, 128).
 
-    Bins are pooled four times faster than mel bands, which leaves the GRU the 8 x 128 inputs and 16
-    steps that it has in the publication.
+    Bins are pooled four times more than mel bands, so that the GRU has 8 x 128 inputs and 16 steps,
+    as in the publication.
     """
 
     def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:
@@ -86,20 +86,20 @@ class CrnnTrunk(RecurrentTrunk):
 
 
 class Crnn(BaselineNetwork):
-    """As cited: N mel levels and N (N - 1) / 2 correlations of 64 values each, 1.3 M parameters."""
+    """CRNN as cited: N mel levels, P correlations of 64 values each; 1.3 M parameters."""
 
     card = CARD
 
     def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:
         super().__init__()
         maps = num_microphones * (num_microphones + 1) // 2
-        # The publication's z-scores over the training data.
+        # Stands for the publication's z-scores over the training data.
         self.scale = nn.BatchNorm2d(maps, affine=False)
         self.trunk = RecurrentTrunk(maps, NUM_MELS, ((2, 2), (2, 2), (2, 1)), width)
         self.head = DirectionHead(self.trunk.outputs)
 
     def features(self, audio: FloatArray) -> FloatArray:
-        """(B, N + P, 64, L): mel levels, then correlations at 64 lags."""
+        """Features (B, N + P, 64, L): mel levels, then correlations at 64 lags."""
         spectra = framed_spectra(audio, WINDOW, HOP, N_FFT)
         levels = log_mel(spectra, mel_filters(NUM_MELS, N_FFT))
         maps = np.concatenate([levels, gcc_phat(spectra, LAGS)], axis=1)

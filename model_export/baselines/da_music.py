@@ -1,7 +1,7 @@
-"""DA-MUSIC (Merkofer et al., TVT 2023): a recurrent network in the place of the covariance.
+"""DA-MUSIC (Merkofer et al., TVT 2023): a recurrent network in place of the sample covariance.
 
-The paper's network (section III) reads the snapshots with a GRU, maps its last state to an N x N
-matrix, takes MUSIC's noise subspace of it and finds the spectrum's peaks with a small network.
+In the paper (section III) a GRU reads the snapshots, its last state is mapped to an N x N matrix,
+MUSIC uses the noise subspace of it, and a small network finds the spectrum's peaks.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ CARD = Card(
 
 
 class SnapshotGru(nn.Module):
-    """Snapshots (B, N, K, L, 2), real and imaginary part, to covariances (B, K, 2, N, N)."""
+    """Maps snapshots (B, N, K, L, 2), real and imaginary part, to covariances (B, K, 2, N, N)."""
 
     def __init__(self, num_microphones: int, num_bands: int, width: float) -> None:
         super().__init__()

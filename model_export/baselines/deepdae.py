@@ -1,4 +1,4 @@
-"""What the comparison calls DeepDAE: convolutions over GCC-PHAT in mel bands (CNN-GCCFB)."""
+"""DeepDAE, as the comparison calls it: convolutions over GCC-PHAT in mel bands (CNN-GCCFB)."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ CARD = Card(
     "correlations are averaged over the window; a count branch in place of a threshold on peaks",
 )
 WINDOW, HOP = 2730, 1365
-"""Samples: the publication's 8192 and 4096 at 48 kHz"""
+"""Samples at 16 kHz, the publication's 8192 and 4096 at 48 kHz"""
 LAGS = np.arange(-25, 26) * (SAMPLE_RATE / 48000)
-"""Its 51 lags at 48 kHz, for up to 18 cm between microphones"""
+"""Lags in samples at 16 kHz, the publication's 51 at 48 kHz, for up to 18 cm between microphones"""
 NUM_BANDS, LOWEST = 40, 100.0
 CHANNELS = (12, 24, 48, 96)
 LIKELIHOOD_WIDTH = float(np.deg2rad(5.0))
-"""sigma of exp(-d^2 / sigma^2)"""
+"""Radians; sigma of exp(-d^2 / sigma^2)"""
 
 
 class StridedTrunk(nn.Module):
-    """Four 5 x 5 convolutions of stride 2: (B, C, H, W) to a flat map (B, D)."""
+    """Four 5 x 5 convolutions of stride 2: maps (B, C, H, W) to a flat map (B, D)."""
 
     def __init__(self, inputs: int, size: tuple[int, int], width: float) -> None:
         super().__init__()
@@ -60,10 +60,10 @@ class StridedTrunk(nn.Module):
 
 
 class DeepDaeTrunk(StridedTrunk):
-    """The matched track's: (B, 2N, 257, 64) to (B, 17 x 4 x 96).
+    """The trunk of the matched track: maps (B, 2N, 257, 64) to (B, 17 x 4 x 96).
 
-    Bins take the place of bands and frames that of lags; as in the publication the layer behind it
-    has weights of its own for every place of the last map, hence for every part of the band.
+    Bins replace bands and frames replace lags. As in the publication, the next layer has separate
+    weights for every place of the last map, hence for every part of the band.
     """
 
     def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:
@@ -71,7 +71,7 @@ class DeepDaeTrunk(StridedTrunk):
 
 
 class DeepDae(BaselineNetwork):
-    """As cited: P pairs, 40 bands and 51 lags to the likelihood of 360 directions, 0.57 M."""
+    """CNN-GCCFB as cited: P pairs, 40 bands, 51 lags to 360 likelihoods; 0.57 M parameters."""
 
     card = CARD
 
@@ -82,7 +82,7 @@ class DeepDae(BaselineNetwork):
         self.head = SpectrumHead(self.trunk.outputs)
 
     def features(self, audio: FloatArray) -> FloatArray:
-        """(B, P, 40, 51)"""
+        """Features (B, P, 40, 51): correlations of pairs, bands and lags."""
         spectra = framed_spectra(audio, WINDOW, HOP, WINDOW)
         return gcc_filter_bank(spectra, mel_filters(NUM_BANDS, WINDOW, LOWEST), LAGS)
 
@@ -100,7 +100,7 @@ class DeepDae(BaselineNetwork):
 
 
 def likelihood(truth: Truth, num_angles: int) -> Tensor:
-    """(B, A): the maximum over the sources of exp(-d^2 / sigma^2), 0 without any."""
+    """Likelihood (B, A): the maximum over the sources of exp(-d^2 / sigma^2), 0 without any."""
     grid = torch.arange(num_angles, device=truth.azimuth.device) * (2 * torch.pi / num_angles)
     bumps = wrapped_gaussians(truth.azimuth, grid, LIKELIHOOD_WIDTH / 2**0.5)  # (B, M, A)
     return (bumps * truth.mask[..., None]).amax(-2)

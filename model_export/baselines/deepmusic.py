@@ -1,7 +1,7 @@
 """DeepMUSIC (Elbir, 2020): networks that imitate the MUSIC spectrum, one per angular sub-region.
 
-Each of the paper's networks sees the sample covariance as an image of three channels,
-real part, imaginary part and angle, and regresses the MUSIC spectrum in its sub-region.
+Each of the paper's networks takes the sample covariance as an image of three channels, real part,
+imaginary part and angle, and regresses the MUSIC spectrum in its sub-region.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ CARD = Card(
     " sub-region, which may then be empty; eight sub-regions; batch normalisation; a count",
 )
 REGIONS = 8
-"""Q, chosen here; the re-implementation of DA-MUSIC's authors has 24 and three times the cost"""
+"""Q, our choice; the re-implementation by DA-MUSIC's authors has 24, at three times the cost"""
 CHANNELS = 256
 UNITS = 1024
 
 
 class DeepMusicTrunk(nn.Module):
-    """One sub-region's network on covariances of the matched track's features: an embedding."""
+    """One sub-region's network, on covariances of the matched track's features."""
 
     def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:
         super().__init__()
@@ -68,7 +68,7 @@ class DeepMusicTrunk(nn.Module):
 
 
 class RegionNetwork(nn.Sequential):
-    """Images (B, 3 K, N, N) to an embedding: four convolutions, a fully connected layer."""
+    """Maps images (B, 3 K, N, N) to an embedding: four convolutions, a fully connected layer."""
 
     def __init__(self, num_microphones: int, num_bands: int, width: float) -> None:
         channels = scaled(CHANNELS, width)
@@ -109,7 +109,7 @@ class DeepMusic(BaselineNetwork):
         self.frequencies = STFT.frequencies[list(self.bins)]
 
     def features(self, audio: FloatArray) -> FloatArray:
-        """(B, 3 K, N, N)."""
+        """Covariance images (B, 3 K, N, N)."""
         images: FloatArray = covariance_images(band_snapshots(audio, self.bins)).numpy()
         return images
 
@@ -137,7 +137,7 @@ class DeepMusic(BaselineNetwork):
 
 
 def covariance_images(snapshots: Tensor) -> Tensor:
-    """Real part, imaginary part and angle in half turns of sample covariances: (B, 3 K, N, N)."""
+    """Images (B, 3 K, N, N): real part, imaginary part and angle (half turns) of covariances."""
     covariance = lagged_covariances(snapshots, 1)[:, :, 0]
     angle = covariance.angle() / torch.pi
     return torch.cat([covariance.real, covariance.imag, angle], 1)
@@ -145,9 +145,9 @@ def covariance_images(snapshots: Tensor) -> Tensor:
 
 @torch.no_grad()
 def ideal_spectrum(array: MicrophoneArray, truth: Truth, frequencies: FloatArray) -> Tensor:
-    """What MUSIC makes of ideal covariances: (B, 360) with a maximum of 1, zeros without sources.
+    """MUSIC spectrum (B, 360) of ideal covariances, the mean over the bands.
 
-    The mean over the bands.
+    Its maximum is 1; without sources it is zero.
     """
     projector = counted_projector(ideal_covariance(array, truth, frequencies), truth.count)
     floor = torch.tensor(LOG_FLOOR).exp()

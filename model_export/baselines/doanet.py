@@ -25,14 +25,14 @@ FILTERS = (32, 64, 128, 256, 512, 1024, 1024, 2048, 2048)
 KERNELS = (21, 19, 17, 15, 13, 11, 9, 9, 7)
 DILATIONS = (1, 2, 3, 5, 8, 13, 21, 34, 55)
 POOLINGS = {2: 3, 4: 2, 6: 2, 8: 2}
-"""Maximum over so many steps after a layer, the first being 1"""
+"""Steps of max-pooling after a layer, by the layer's number from 1"""
 DENSE = 1024
 FRAME_FILTERS = (256, 512, 512, 1024, 1024)
 FRAME_KERNEL = 3
 
 
 class WaveformTrunk(nn.Module):
-    """Nine dilated convolutions without padding: (B, N, T), T above 15,000, to (B, 1024)."""
+    """Nine dilated convolutions without padding: maps (B, N, T), T above 15,000, to (B, 1024)."""
 
     def __init__(self, num_microphones: int, width: float) -> None:
         super().__init__()
@@ -54,12 +54,12 @@ class WaveformTrunk(nn.Module):
 
 
 class DoanetTrunk(nn.Module):
-    """The matched track's: (B, 2N, 257, 64) to (B, 1024).
+    """The trunk of the matched track: maps (B, 2N, 257, 64) to (B, 1024).
 
-    All bins of all microphones are a frame's channels, as what the first layers make of a waveform
-    would be: on spectra their filter bank is done. Five dilated convolutions over the frames
-    follow, with the publication's first five dilations and with padding, since its kernels and
-    dilations span more steps than there are frames; then its global maximum and dense layer.
+    All bins of all microphones are a frame's channels: the STFT replaces the filter bank of the
+    first layers. Five dilated convolutions over the frames follow, with the publication's first
+    five dilations; they are padded, since its kernels and dilations span more steps than there are
+    frames. The publication's global maximum and dense layer come last.
     """
 
     def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:
@@ -93,7 +93,7 @@ def _summary(inputs: int, outputs: int) -> nn.Sequential:
 
 
 class Doanet(BaselineNetwork):
-    """As cited: raw audio to cosine and sine, 67.9 M parameters."""
+    """DOANet as cited: raw audio to cosine and sine, 67.9 M parameters."""
 
     card = CARD
 
@@ -103,7 +103,7 @@ class Doanet(BaselineNetwork):
         self.head = DirectionHead(self.trunk.outputs)
 
     def features(self, audio: FloatArray) -> FloatArray:
-        """(B, N, T) of unit power over all microphones."""
+        """Audio (B, N, T) of unit power over all microphones."""
         power = np.mean(audio**2, axis=(-2, -1), keepdims=True)
         unit: FloatArray = (audio / np.sqrt(power + 1e-12)).astype(np.float32, copy=False)
         return unit

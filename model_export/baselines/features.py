@@ -1,8 +1,8 @@
-"""Features that the published methods put before their networks: mel levels and correlations.
+"""Input features of the published networks: mel levels and correlations.
 
 All take spectra (..., N, L, F) of N microphones, L frames and F = n_fft / 2 + 1 bins, with any axes
-before these. Pairs are those of ``pairs``. A correlation at lag d says how well the pair's first
-microphone follows its second one d samples later.
+before these. Pairs are those of ``pairs``. A correlation at lag d is high if the pair's first
+microphone is d samples later than its second.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ _TINY = np.finfo(np.float32).tiny
 
 
 def framed_spectra(audio: FloatArray, window: int, hop: int, n_fft: int) -> ComplexArray:
-    """Spectra (..., L, F) complex64 of Hann windows in audio (..., T), filled up to ``n_fft``.
+    """Spectra (..., L, F) complex64 of Hann windows of audio (..., T), zero-padded to ``n_fft``.
 
-    Unlike ``service.doa.stft.Stft`` it has a window of its own length, and bins come last.
+    Unlike in ``service.doa.stft.Stft``, the window may be shorter than ``n_fft``, and bins come
+    last.
     """
     frames = np.lib.stride_tricks.sliding_window_view(audio, window, axis=-1)[..., ::hop, :]
     windowed = (frames * hann(window)).astype(np.float32, copy=False)
@@ -35,7 +36,7 @@ def framed_spectra(audio: FloatArray, window: int, hop: int, n_fft: int) -> Comp
 def mel_filters(num_filters: int, n_fft: int, low: float = 0.0, high: float = 8000.0) -> FloatArray:
     """Triangles (B, F) float32 of height 1, equally wide in mel, between two frequencies in hertz.
 
-    Mel as in O'Shaughnessy, 1987: 2595 log10(1 + f / 700). Neighbours add up to 1.
+    The mel scale is O'Shaughnessy's, 1987: 2595 log10(1 + f / 700). Neighbours add up to 1.
     """
     edges = np.linspace(_mel(low), _mel(high), num_filters + 2)
     mels = _mel(np.arange(n_fft // 2 + 1) * (SAMPLE_RATE / n_fft))
@@ -52,7 +53,7 @@ def _mel(frequency: FloatArray | float) -> FloatArray:
 def log_mel(spectra: ComplexArray, filters: FloatArray) -> FloatArray:
     """Log power (..., N, L, B) float32 in mel bands relative to the window's mean.
 
-    The gain of the recording cancels and differences of level between microphones stay.
+    The recording's gain cancels; level differences between microphones stay.
     """
     return log_level((spectra.real**2 + spectra.imag**2) @ filters.T)
 
@@ -72,12 +73,12 @@ def pairs(num_microphones: int) -> tuple[IntArray, IntArray]:
 def gcc_phat(spectra: ComplexArray, lags: FloatArray) -> FloatArray:
     """Generalised cross-correlation with phase transform (Knapp and Carter, 1976) of every frame.
 
-    ``lags`` (D,) are in samples and need not be whole. Gives (..., P, L, D) float32; a pure delay
-    of d samples gives 1 at lag d.
+    ``lags`` (D,) are in samples and may be fractional. Returns (..., P, L, D) float32; a pure delay
+    of d samples has the value 1 at lag d.
     """
     basis = _lag_basis(spectra.shape[-1], tuple(lags))
     phases = unit_phases(spectra)
-    # A pair at a time: the cross-spectra of all would not fit a batch.
+    # One pair at a time: the cross-spectra of all pairs would take too much memory.
     correlations = []
     for i, j in zip(*pairs(spectra.shape[-3]), strict=True):
         cross = phases[..., i, :, :] * phases[..., j, :, :].conj()
@@ -87,10 +88,10 @@ def gcc_phat(spectra: ComplexArray, lags: FloatArray) -> FloatArray:
 
 
 def gcc_filter_bank(spectra: ComplexArray, filters: FloatArray, lags: FloatArray) -> FloatArray:
-    """GCC-PHAT in bands (GCCFB), the mean over the frames: (..., P, B, D) float32.
+    """GCC-PHAT in bands (GCCFB), averaged over the frames: (..., P, B, D) float32.
 
-    He, Motlicek and Odobez, 2018: whitened cross-spectra are weighted with a band's
-    filter (B, F) before they are transformed to ``lags`` (D,) in samples; a pure delay gives 1.
+    Whitened cross-spectra are weighted with a band's filter (B, F) and transformed to ``lags`` (D,)
+    in samples (He, Motlicek and Odobez, 2018); a pure delay has the value 1.
     """
     basis = _lag_basis(spectra.shape[-1], tuple(lags))
     scale = 2 * (spectra.shape[-1] - 1) / (filters @ _sides(spectra.shape[-1]))
@@ -105,14 +106,14 @@ def gcc_filter_bank(spectra: ComplexArray, filters: FloatArray, lags: FloatArray
 
 
 def unit_phases(spectra: ComplexArray) -> ComplexArray:
-    """The spectra with modulus 1, or 0 where there is nothing; phase differences stay."""
+    """The spectra with modulus 1, or 0 where they are 0; phase differences stay."""
     modulus = np.sqrt(spectra.real**2 + spectra.imag**2)
     phases: ComplexArray = spectra * (1 / np.maximum(modulus, _TINY))
     return phases
 
 
 def _sides(num_bins: int) -> FloatArray:
-    """How often a bin of a one-sided spectrum stands in the two-sided one."""
+    """Number of times that each bin of a one-sided spectrum occurs in the two-sided one."""
     sides = np.full(num_bins, 2, dtype=np.float32)
     sides[[0, -1]] = 1
     return sides
@@ -122,8 +123,8 @@ def _sides(num_bins: int) -> FloatArray:
 def _lag_basis(num_bins: int, lags: tuple[float, ...]) -> FloatArray:
     """The inverse real Fourier transform at lags in samples, (2 F, D) float32.
 
-    Rows are a bin's real part, its imaginary part, the next bin's: complex numbers as in memory.
-    A few lags of a long transform cost less as a matrix, and lags between samples cost no more.
+    Rows alternate real and imaginary parts of the bins, as complex numbers lie in memory. For a few
+    lags of a long transform a matrix costs less than an FFT, and fractional lags cost no more.
     """
     n_fft = 2 * (num_bins - 1)
     angle = 2 * np.pi / n_fft * np.arange(num_bins)[:, None] * np.asarray(lags)

@@ -1,12 +1,13 @@
-"""FRIDA, directions from an annihilating filter without a grid, through pyroomacoustics.
+"""FRIDA, gridless directions from an annihilating filter, through pyroomacoustics.
 
 The cross-correlations of all pairs are linear in the Fourier coefficients of the intensity over
-azimuth; those of K sources satisfy a filter of K + 1 taps whose roots are the directions.
+azimuth. The coefficients of K sources are annihilated by a filter of K + 1 taps, whose roots are
+the directions.
 
-Three things are left to the caller. The coefficients, 2 max_four + 1 real numbers, have to be fewer
-than what the pairs tell: parallel and equal pairs of a square or ring tell the same, which the
-library's own check does not see. The filter starts from numpy's global random numbers. The mapping
-of a finder's first window stays with it although other bins have another one.
+Three things are left to the caller. The coefficients, 2 max_four + 1 real numbers, must be fewer
+than the numbers that the pairs measure: equal and parallel pairs of a square or ring measure the
+same, which the library does not check. The filter starts from numpy's global random numbers. A
+finder keeps the mapping of its first window, which is wrong for other bins.
 """
 
 from __future__ import annotations
@@ -29,33 +30,33 @@ CARD = Card(
     "classical",
     "Pan, Scheibler, Bezzam, Dokmanic, Vetterli, 2017, FRIDA: FRI-based DOA estimation for "
     "arbitrary array layouts; pyroomacoustics",
-    "the 20 loudest bins of 1000-4000 Hz, a fixed start, coefficients as many as the pairs tell",
+    "the 20 loudest bins of 1000-4000 Hz, a fixed start, as many coefficients as the pairs allow",
 )
 BAND = (1000.0, 4000.0)
-"""Hertz; below it the small array's coefficients of order 2 and more drown in the noise"""
+"""Hertz; below it the noise masks a small array's coefficients of order 2 and higher"""
 NUM_BINS = 20
 MOST_FOURIER = 6
-"""Highest order of the coefficients, of arrays of some decimetres"""
+"""Cap on the order of the coefficients, for arrays of some decimetres"""
 FAILURES = (np.linalg.LinAlgError, ValueError, UnboundLocalError, RuntimeError)
-"""What the library raises where no start leads anywhere: singular systems, roots that are not
-finite (a sound from above, which has no azimuth), results never set, amplitudes not converging"""
+"""Errors that the library raises if no start succeeds: singular systems, roots that are not finite
+(a sound from above, which has no azimuth), results never set, amplitudes not converging"""
 
 
 @dataclass(frozen=True, slots=True)
 class Orders:
-    """Which orders of the Fourier coefficients an array tells."""
+    """Orders of the Fourier coefficients that an array can measure."""
 
     array: MicrophoneArray
     heard: int
-    """Above it they are nearly zero: J_m(k r) of m > k r, r being half the aperture"""
+    """Highest order that is not nearly zero: J_m(k r) vanishes for m > k r, r half the aperture"""
     most: int
-    """Above it there are more coefficients than different pairs"""
+    """Highest order with no more coefficients than distinct pairs measure"""
 
 
 class Frida(ToldMethod[Orders]):
-    """FRIDA on arrays in a plane; heights are left out.
+    """FRIDA on planar arrays; heights are ignored.
 
-    ``failures`` counts the windows without an answer because the library found none.
+    ``failures`` counts the windows for which the library finds no answer.
     """
 
     card = CARD
@@ -71,12 +72,12 @@ class Frida(ToldMethod[Orders]):
                 "apart: it needs microphones in a plane"
             )
         heard = int(np.ceil(2 * np.pi * BAND[1] * array.aperture / 2 / SPEED_OF_SOUND))
-        # A pair tells a complex number.
+        # A pair measures a complex number.
         most = (2 * distinct_baselines(array) - 1) // 2
         return Orders(array, min(heard, MOST_FOURIER), most)
 
     def estimate(self, audio: FloatArray, prepared: Orders, num_sources: int) -> Estimate:
-        """Directions by falling mean amplitude; no ``spectrum``."""
+        """Directions in order of falling mean amplitude; no ``spectrum``."""
         array, most = prepared.array, prepared.most
         if num_sources > most:
             raise ValueError(
@@ -107,7 +108,7 @@ def loudest_bins(spectra: ComplexArray, count: int) -> IntArray:
 
 
 def distinct_baselines(array: MicrophoneArray) -> int:
-    """How many different horizontal vectors, but for the sign, join two microphones."""
+    """Number of distinct horizontal vectors, up to sign, between two microphones."""
     first, second = np.triu_indices(array.num_microphones, 1)
     baselines = np.rint((array.positions[first] - array.positions[second])[:, :2] / MIN_SPACING)
     turned = baselines[:, 0] < 0
@@ -118,7 +119,7 @@ def distinct_baselines(array: MicrophoneArray) -> int:
 
 @contextmanager
 def fixed_random_numbers() -> Iterator[None]:
-    """numpy's global random numbers from a fixed seed, afterwards as if none had been drawn."""
+    """Seed numpy's global random numbers, and restore their state afterwards."""
     state = np.random.get_state()  # noqa: NPY002  the library draws from no other
     np.random.seed(0)  # noqa: NPY002
     try:

@@ -1,11 +1,11 @@
 """GCC-PHAT: time differences of microphone pairs, added up to a spectrum over azimuth.
 
 Per pair the cross-spectrum is averaged over frames, whitened to unit magnitude and transformed
-back; the correlation at the delay that an azimuth causes is the pair's vote for that azimuth. Only
-delays up to distance / c are ever looked at, so no periodic image of the correlation is.
+back; the correlation at an azimuth's delay is the pair's vote for that azimuth. Only delays up to
+distance / c are used, hence no periodic image of the correlation.
 
-Unlike SRP-PHAT, which whitens every frame, this averages first, as Knapp and Carter define it:
-frames count by their power, and a pause between words adds no noise to the phase.
+SRP-PHAT whitens every frame; this method averages first, as Knapp and Carter define it. Frames
+thus count by their power, and a pause between words adds no noise to the phase.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ CARD = Card(
     "the pairs' correlations at every azimuth's delays, summed; 300-6000 Hz",
 )
 BAND = (300.0, 6000.0)
-"""Hertz; wider than for the others: a correlation's peak is as narrow as its band is wide, and what
-one pair's aliasing adds at a wrong delay the other pairs do not. Speech is weak above."""
+"""Hertz; wider than for the other methods, since a wider band makes a correlation's peak narrower,
+and one pair's aliasing at a wrong delay is not shared by the others. Speech is weak above."""
 INTERPOLATION = 16
-"""Lags per sample: 4 microseconds, 1.3 mm of path, between which straight lines do"""
+"""Lags per sample, 4 microseconds or 1.3 mm of path each; linear interpolation does between them"""
 
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
-    """An array's P pairs and where in their correlations every azimuth is."""
+    """An array's P pairs and the lags of all azimuths A in their correlations."""
 
     first: IntArray
-    """(P,) microphones"""
+    """(P,) first microphones"""
     second: IntArray
-    """(P,)"""
+    """(P,) second microphones"""
     lag: FloatArray
-    """(P, A) of the azimuths in interpolated lags, of either sign"""
+    """(P, A) delays of the azimuths in interpolated lags, of either sign"""
     searched: BoolArray
-    """(A,)"""
+    """(A,) azimuths that are searched"""
 
 
 class GccPhat(ToldMethod[Pairs]):
@@ -87,8 +87,8 @@ def phat_correlation(cross: ComplexArray) -> FloatArray:
     Returns
     -------
     correlation : (P, n_fft * INTERPOLATION) float32
-        At lags of 1 / (16000 * INTERPOLATION) seconds, negative ones from the end; 1 where all
-        phases agree.
+        Values at lags of 1 / (16000 * INTERPOLATION) seconds, negative lags counted from the end;
+        1 where all phases agree.
     """
     bins = band_bins(BAND)
     whitened = np.zeros_like(cross)
@@ -99,7 +99,7 @@ def phat_correlation(cross: ComplexArray) -> FloatArray:
 
 
 def value_at(correlation: FloatArray, lag: FloatArray) -> FloatArray:
-    """Correlations (P, L) at fractional circular lags (P, A), by straight lines: (P, A)."""
+    """Linear interpolation (P, A) of correlations (P, L) at fractional circular lags (P, A)."""
     below = np.floor(lag).astype(np.int64)
     share = lag - below
     length = correlation.shape[-1]

@@ -9,15 +9,15 @@ from model_export.baselines.network import GRID_SIZE, MAX_TALKERS, Prediction
 
 
 def spectrum_layer(inputs: int, grid_size: int = GRID_SIZE) -> nn.Linear:
-    """Embedding (B, D) to what a sigmoid makes a spectrum of."""
+    """Linear layer from an embedding (B, D) to the logits (B, A) of a spectrum."""
     layer = nn.Linear(inputs, grid_size)
-    # Targets are all but zero nearly everywhere.
+    # Targets are almost zero nearly everywhere.
     nn.init.constant_(layer.bias, -2.0)
     return layer
 
 
 class SpectrumHead(nn.Module):
-    """Embedding (B, D) to a spectrum in (0, 1) and count logits."""
+    """Maps an embedding (B, D) to a spectrum in (0, 1) and count logits."""
 
     def __init__(self, inputs: int, grid_size: int = GRID_SIZE) -> None:
         super().__init__()
@@ -29,11 +29,11 @@ class SpectrumHead(nn.Module):
 
 
 class DirectionHead(nn.Module):
-    """Embedding (B, D) to directions for every possible count, and count logits.
+    """Maps an embedding (B, D) to directions for every possible count, and count logits.
 
-    A regressed direction has no confidence that would tell a second one from none, hence a set of
-    outputs of its own for every count: what one model per count would have, on a shared trunk.
-    ``kind`` is ``"vectors"`` (x and y) or ``"angles"`` (radians, a half turn times the output).
+    A regressed direction has no confidence that would tell a second source from none. Every count
+    therefore has its own outputs, like one model per count on a shared trunk. ``kind`` is
+    ``"vectors"`` (x and y) or ``"angles"`` (radians, a half turn times the output).
     """
 
     def __init__(self, inputs: int, kind: str = "vectors") -> None:

@@ -1,4 +1,4 @@
-"""The covariance and subspace methods of the comparison, by their names."""
+"""The covariance and subspace methods of the comparison, by name."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from model_export.baselines.baseline import LearnedBaseline
 
 
 def hybrid_methods() -> Mapping[str, LearnedBaseline]:
-    """Both tracks of every method whose features or outputs are covariances."""
+    """Both tracks, by name, of every method whose features or outputs are covariances."""
     baselines = (
         LearnedBaseline(
             card=deepmusic.CARD,

@@ -1,4 +1,4 @@
-"""Learned methods of the comparison whose networks name directions without a subspace method."""
+"""Learned methods of the comparison whose networks output directions without a subspace method."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from model_export.baselines.baseline import LearnedBaseline
 
 
 def learned_methods() -> Mapping[str, LearnedBaseline]:
-    """Both tracks of every method, by its name."""
+    """Both tracks of every method, by name."""
     methods = (
         LearnedBaseline(crnn.CARD, crnn.Crnn, crnn.CrnnTrunk),
         LearnedBaseline(

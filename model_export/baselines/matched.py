@@ -1,9 +1,9 @@
 """The matched track: our input, targets, augmentation and count branch; only the trunk differs.
 
-A trunk is a module that takes the paper's features (B, 2N, 257, 64) of
-``service.doa.spectrogram.spectrogram_features`` and gives either an embedding (B, D), D being its
-attribute ``outputs``, or covariances (B, F, 2, N, N), real and imaginary part, of F bins that its
-attribute ``bins`` names. Embeddings get a linear layer to the spectrum; covariances go through EVD,
+A trunk is a module that maps the paper's features (B, 2N, 257, 64) of
+``service.doa.spectrogram.spectrogram_features`` to an embedding (B, D), D being its attribute
+``outputs``, or to covariances (B, F, 2, N, N), real and imaginary part, of the F bins in its
+attribute ``bins``. A linear layer maps embeddings to the spectrum; covariances go through EVD,
 MUSIC and frequency attention fusion, as NeuralMUSIC's own do.
 """
 
@@ -29,7 +29,7 @@ from service.doa.types import FloatArray
 
 
 def matched_features(audio: FloatArray) -> FloatArray:
-    """(B, 2N, 257, 64) float32 of windows (B, N, T), T at least 64 frames."""
+    """Features (B, 2N, 257, 64) float32 of windows (B, N, T), T at least 64 frames."""
     return spectrogram_features(STFT.transform(audio)[..., :NUM_FRAMES])
 
 
@@ -46,7 +46,7 @@ class MatchedNetwork(BaselineNetwork):
         return matched_features(audio)
 
     def both(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """What the trunk gives and the count's logits, float32."""
+        """Outputs of the trunk and logits of the count, float32."""
         with training_precision(features, training=self.training):
             features = features.contiguous(memory_format=torch.channels_last)
             found, logits = self.trunk(features), self.count(features)
@@ -54,7 +54,7 @@ class MatchedNetwork(BaselineNetwork):
 
 
 class MatchedSpectrum(MatchedNetwork):
-    """A trunk that gives an embedding, and one linear layer to 360 angles."""
+    """A trunk that outputs an embedding, and one linear layer to 360 angles."""
 
     def __init__(self, trunk: nn.Module, num_microphones: int, card: Card) -> None:
         super().__init__(trunk, num_microphones, card)
@@ -68,7 +68,7 @@ class MatchedSpectrum(MatchedNetwork):
 
 
 class MatchedSubspace(MatchedNetwork):
-    """A trunk that estimates covariances, and MUSIC and FAF behind it."""
+    """A trunk that estimates covariances, followed by MUSIC and FAF."""
 
     steered = True
 

@@ -1,4 +1,4 @@
-"""What every method of the comparison is: multichannel audio and an array in, directions out."""
+"""The interface of all methods of the comparison: audio and array in, directions out."""
 
 from __future__ import annotations
 
@@ -12,38 +12,38 @@ from service.doa.peaks import find_peaks
 from service.doa.types import FloatArray
 
 Kind = Literal["classical", "learned", "hybrid"]
-"""Hybrid: a network and a subspace method together"""
+"""Kind of a method; hybrid is a network combined with a subspace method"""
 
 
 @dataclass(frozen=True, slots=True)
 class Card:
-    """What a method is and where it comes from."""
+    """Name, kind and origin of a method."""
 
     name: str
-    """As on the command line"""
+    """Name on the command line"""
     title: str
-    """As in tables"""
+    """Name in tables"""
     kind: Kind
     source: str
-    """The publication, and the library where one is used"""
+    """The publication, and the library if one is used"""
     adaptation: str = ""
-    """How it differs from the publication, where it does"""
+    """Differences from the publication, if any"""
     linear_only: bool = False
-    """It needs microphones at equal distances on a line"""
+    """Whether it needs a uniform linear array"""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What a method says of one window."""
+    """A method's answer for one window."""
 
     azimuth: FloatArray
-    """(M,) radians, the most confident first; fewer than asked for where it finds no more"""
+    """(M,) radians, the most confident first; fewer than asked for if it finds no more"""
     spectrum: FloatArray | None = None
-    """(A,) on ``azimuth_grid(A)``; None of methods that name directions only"""
+    """(A,) on ``azimuth_grid(A)``; None if the method outputs directions only"""
 
     @classmethod
     def of_spectrum(cls, spectrum: FloatArray, num_sources: int) -> Estimate:
-        """The spectrum's highest circular maxima."""
+        """Estimate from the spectrum's highest circular maxima."""
         peaks = find_peaks(spectrum, num_sources)
         return cls(np.array([peak.azimuth for peak in peaks]), spectrum)
 
@@ -56,7 +56,7 @@ class Method(Protocol):
 
     @property
     def counts(self) -> bool:
-        """Whether it estimates the number of sources; those that do not have to be told."""
+        """Whether it estimates the number of sources; otherwise it has to be told."""
 
     def localize(
         self, audio: FloatArray, array: MicrophoneArray, num_sources: int | None = None
@@ -66,11 +66,11 @@ class Method(Protocol):
         Parameters
         ----------
         audio : (N, T) float32
-            At 16 kHz.
-        array : MicrophoneArray
-            With N microphones.
-        num_sources : int, optional
-            Known count; None only where ``counts``.
+            Audio at 16 kHz.
+            array : MicrophoneArray
+                Array of N microphones.
+            num_sources : int, optional
+                Known count; may be None only if ``counts``.
 
         Raises
         ------

@@ -25,7 +25,7 @@ from service.doa.steering import azimuth_grid
 from service.doa.types import FloatArray
 
 LOG_FLOOR = -3.2
-"""Of MUSIC's denominator, about 0.04: the width of the peaks at the start"""
+"""Log of the floor of MUSIC's denominator, about 0.04: the initial width of the peaks"""
 
 
 def array_products(array: MicrophoneArray, azimuth: Tensor, frequencies: FloatArray) -> Tensor:
@@ -43,7 +43,7 @@ def music_spectrum(
     """MUSIC spectra (B, F, 360) of signal projectors (B, F, N, N), with a maximum of 1."""
     grid = torch.from_numpy(azimuth_grid(GRID_SIZE)).to(projector.device)
     products = array_products(array, grid[None], frequencies)[0]
-    # The scenes share a bin's steering vectors, hence bins first.
+    # Bins come first because the scenes share a bin's steering vectors.
     power = signal_power(projector.transpose(0, 1), products)  # (F, B, A)
     spectrum = 1 / (1 - power.clamp(max=1) + floor)
     return (spectrum / spectrum.amax(-1, keepdim=True)).transpose(0, 1)
@@ -51,20 +51,20 @@ def music_spectrum(
 
 @dataclass(frozen=True, slots=True)
 class MusicResult:
-    """What MUSIC makes of covariances in K bands."""
+    """MUSIC's results on covariances in K bands."""
 
     count: Tensor
     """(B, MAX_TALKERS + 1) logits"""
     projector: Tensor
-    """(B, K, N, N) complex, on the signal subspaces"""
+    """(B, K, N, N) complex projectors onto the signal subspaces"""
     covariance: Tensor
-    """(B, K, N, N) complex, as given"""
+    """(B, K, N, N) complex, the given covariances"""
     spectrum: Tensor
     """(B, K, 360) in (0, 1]"""
 
 
 class Music(nn.Module):
-    """Covariances to MUSIC spectra, with the count by the eigenvalues where none is given."""
+    """Maps covariances to MUSIC spectra; eigenvalues decide the count if none is given."""
 
     log_floor: Tensor
 
@@ -93,10 +93,10 @@ class Music(nn.Module):
 
 
 class EigenvalueCount(nn.Module):
-    """The number of sources by all bands' eigenvalues: (B, K, N, N) to logits.
+    """Source count from all bands' eigenvalues: maps (B, K, N, N) to logits.
 
-    A classifier on eigenvalues, as DA-MUSIC and TransMUSIC have for an unknown number. Eigenvalues,
-    unlike eigenvectors, have derivatives that need no gaps.
+    DA-MUSIC and TransMUSIC use such a classifier for an unknown count. Unlike those of
+    eigenvectors, the derivatives of eigenvalues need no gaps.
     """
 
     def __init__(self, num_microphones: int, num_bands: int, hidden: int = 64) -> None:
@@ -121,9 +121,9 @@ class BandTrunk(nn.Module):
     Parameters
     ----------
     covariance : Module
-        What the network sees to real and imaginary parts (B, K, 2, N, N).
-    sees : callable
-        Snapshots (B, N, K, L) complex to what it sees of them.
+        Network from its input to real and imaginary parts (B, K, 2, N, N).
+        sees : callable
+            Maps snapshots (B, N, K, L) complex to the network's input.
     """
 
     bins: Sequence[int] = band_bins(MATCHED_BANDS)
@@ -143,7 +143,7 @@ class BandTrunk(nn.Module):
 class HybridNetwork(BaselineNetwork):
     """A network that estimates the covariances of K bands, and MUSIC on them.
 
-    Parameters as those of ``BandTrunk``; features are what the network sees of ``CITED_BANDS``.
+    It takes the parameters of ``BandTrunk``; features are the network's input in ``CITED_BANDS``.
     """
 
     steered = True
@@ -164,13 +164,13 @@ class HybridNetwork(BaselineNetwork):
     def music_of(
         self, features: Tensor, array: MicrophoneArray, counts: Tensor | None = None
     ) -> MusicResult:
-        """MUSIC on the covariances (B, K, 2, N, N) that features (B, ...) are mapped to."""
+        """MUSIC on the covariances (B, K, 2, N, N) of features (B, ...)."""
         result: MusicResult = self.music(self.covariance(features), array, counts)
         return result
 
 
 class PeakFindingNetwork(HybridNetwork):
-    """Snapshots in, directions out: a small network finds the peaks of MUSIC's spectrum.
+    """Maps snapshots to directions: a small network finds the peaks of MUSIC's spectrum.
 
     Features are the snapshots' real and imaginary parts (B, N, K, 64, 2).
     """
@@ -188,9 +188,9 @@ class PeakFindingNetwork(HybridNetwork):
 
 
 class PeakFinder(nn.Module):
-    """MUSIC spectra (B, 360) to angles: three hidden layers, as in DA-MUSIC, then M outputs.
+    """Maps MUSIC spectra (B, 360) to angles: three hidden layers, as in DA-MUSIC, then M outputs.
 
-    As ``model_export.baselines.heads.DirectionHead``, it has outputs of its own for every count.
+    Every count has its own outputs, as in ``model_export.baselines.heads.DirectionHead``.
     """
 
     def __init__(self, hidden: int) -> None:
@@ -208,6 +208,6 @@ class PeakFinder(nn.Module):
         )
 
     def forward(self, spectrum: Tensor) -> tuple[Tensor, ...]:
-        """For 1, 2, ... sources (B, M) radians."""
+        """Angles (B, M) in radians for 1, 2, ... sources."""
         hidden = self.layers(spectrum)
         return tuple(torch.pi * linear(hidden) for linear in self.directions)

@@ -1,4 +1,4 @@
-"""What a learned method is under training: features, a prediction, a loss; and as a method."""
+"""Learned methods: features, prediction and loss in training, and a trained one as a method."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ GRID_SIZE = 360
 SIGMA = float(np.deg2rad(5.0))
 """Width of the target spectra's wrapped Gaussians, the paper's for two talkers and more"""
 COUNT_WEIGHT = 0.05
-"""Of the count's cross entropy, as in the paper's code"""
+"""Weight of the count's cross entropy, as in the paper's code"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,69 +34,69 @@ class Truth:
     azimuth: Tensor
     """(B, MAX_TALKERS) radians"""
     mask: Tensor
-    """(B, MAX_TALKERS) bool, which entries are sources, these first"""
+    """(B, MAX_TALKERS) bool, True for sources, which come first"""
 
     @property
     def count(self) -> Tensor:
-        """(B,) int"""
+        """Number of sources (B,) int."""
         return self.mask.sum(-1)
 
     def to(self, device: str) -> Truth:
-        """The same on a device."""
+        """Copy to a device."""
         return Truth(self.azimuth.to(device), self.mask.to(device))
 
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """What a network says of a batch: a spectrum or directions, and a count."""
+    """A network's output for a batch: a spectrum or directions, and a count."""
 
     count: Tensor
     """(B, MAX_TALKERS + 1) logits"""
     spectrum: Tensor | None = None
-    """(B, A), larger where a source is more likely"""
+    """(B, A), higher where a source is more likely"""
     vectors: tuple[Tensor, ...] = field(default=())
-    """For 1, 2, ... sources (B, M, 2): x and y towards each, not necessarily of unit length"""
+    """(B, M, 2) for 1, 2, ... sources: x and y towards each, not necessarily of unit length"""
     angles: tuple[Tensor, ...] = field(default=())
-    """For 1, 2, ... sources (B, M): radians, any wrap"""
+    """(B, M) radians, any wrap, for 1, 2, ... sources"""
     projector: Tensor | None = None
-    """(B, F, N, N) complex, of hybrid methods: on the signal subspaces"""
+    """(B, F, N, N) complex, hybrid methods' projectors onto the signal subspaces"""
     covariance: Tensor | None = None
-    """(B, F, N, N) complex, of methods that are trained on it"""
+    """(B, F, N, N) complex, from methods whose loss uses it"""
 
 
 class BaselineNetwork(nn.Module):
     """A learned method for one array's microphone count.
 
-    ``forward`` is given the array, which training may have turned together with the labels where
-    ``steered`` says that steering vectors are part of the method; features are never turned.
+    ``forward`` takes the array. If ``steered``, steering vectors are part of the method, and
+    training may turn the array together with the labels; features are never turned.
     """
 
     card: ClassVar[Card]
     steered: ClassVar[bool] = False
     learning_rate: ClassVar[float] = 1e-3
-    """Adam's, at the start"""
+    """Adam's initial learning rate"""
 
     @abstractmethod
     def features(self, audio: FloatArray) -> FloatArray:
-        """The network's input (B, ...) float32 of windows (B, N, T) at 16 kHz, T as in training."""
+        """The network's input (B, ...) float32 for windows (B, N, T) at 16 kHz, T as trained."""
 
     @abstractmethod
     def forward(
         self, features: Tensor, array: MicrophoneArray, counts: Tensor | None = None
     ) -> Prediction:
-        """What the network says of features (B, ...).
+        """The network's output for features (B, ...).
 
-        ``counts`` (B,) are known numbers of sources, the true ones in training; None leaves them to
-        the network where they matter to it.
+        ``counts`` (B,) are known numbers of sources, the true ones in training; with None the
+        network estimates them if it needs them.
         """
 
     def loss(self, prediction: Prediction, truth: Truth, array: MicrophoneArray) -> Tensor:
-        """What training minimises: that of the outputs that there are, and the count's."""
+        """Training loss: the loss of the outputs that exist, and the count's."""
         return direction_loss(prediction, truth) + COUNT_WEIGHT * count_loss(prediction, truth)
 
 
 def scaled(size: int, width: float) -> int:
-    """A hidden size at a width, 1 being the publication's; a few are left at the narrowest."""
+    """A hidden size at a width, 1 being the publication's; at least 8."""
     return max(8, round(size * width))
 
 
@@ -107,7 +107,7 @@ def direction_loss(prediction: Prediction, truth: Truth) -> Tensor:
     if prediction.vectors:
         wanted = torch.stack([truth.azimuth.cos(), truth.azimuth.sin()], -1)
         return _permuted(prediction.vectors, wanted, truth, vector_squares)
-    # The root of RMSPE over the batch; its slope is infinite at zero.
+    # RMSPE over the batch; the slope of its root would be infinite at zero.
     return (_permuted(prediction.angles, truth.azimuth, truth, circular_squares) + 1e-9).sqrt()
 
 
@@ -144,7 +144,7 @@ def _permuted(
 ) -> Tensor:
     """Mean square over the scenes with sources, each under its best permutation.
 
-    ``outputs`` are those for 1, 2, ... sources, ``wanted`` (B, MAX_TALKERS, ...).
+    ``outputs`` are for 1, 2, ... sources, ``wanted`` is (B, MAX_TALKERS, ...).
     """
     total = outputs[0].sum() * 0.0
     for count, output in enumerate(outputs, start=1):
@@ -172,7 +172,7 @@ class LearnedMethod:
     def localize(
         self, audio: FloatArray, array: MicrophoneArray, num_sources: int | None = None
     ) -> Estimate:
-        """Directions of one window, by the network's own count where none is given."""
+        """Directions of one window; the network counts them if no count is given."""
         features = torch.from_numpy(self.network.features(audio[None]))
         known = None if num_sources is None else torch.tensor([num_sources])
         prediction = self.network(features, array, known)
@@ -181,7 +181,7 @@ class LearnedMethod:
 
 
 def decoded(prediction: Prediction, count: int) -> Estimate:
-    """The first scene's directions for a count; a spectrum's peaks where there is one."""
+    """The first scene's directions for a count, from the spectrum's peaks if there is one."""
     spectrum = None
     if prediction.spectrum is not None:
         spectrum = prediction.spectrum[0].float().numpy()

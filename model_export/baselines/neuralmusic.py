@@ -21,7 +21,7 @@ CARD = Card(
 
 
 class CovarianceTrunk(nn.Module):
-    """The paper's covariance network: (B, 2N, 257, 64) to (B, 257, 2, N, N)."""
+    """The paper's covariance network: maps (B, 2N, 257, 64) to (B, 257, 2, N, N)."""
 
     bins = range(NUM_BINS)
 
@@ -31,7 +31,7 @@ class CovarianceTrunk(nn.Module):
 
     @property
     def encoder(self) -> Encoder:
-        """What self-supervised learning pretrains."""
+        """The encoder, which self-supervised learning pretrains."""
         return self.network.encoder
 
     def forward(self, features: Tensor) -> Tensor:
@@ -42,6 +42,6 @@ class CovarianceTrunk(nn.Module):
 
 
 def neuralmusic(num_microphones: int, *, attention: bool = True) -> MatchedSubspace:
-    """NeuralMUSIC with fresh parameters; without attention, bins count alike (the ablation)."""
+    """NeuralMUSIC with fresh parameters; without attention, bins count alike (ablation)."""
     trunk = CovarianceTrunk(num_microphones)
     return MatchedSubspace(trunk, num_microphones, CARD, attention=attention)

@@ -26,8 +26,8 @@ def direction_finder(name: str, array: MicrophoneArray, **options: Any) -> Any:
 
 
 def build(finder: Any, array: MicrophoneArray, **options: Any) -> Any:
-    """The same of one of the library's classes or of our subclasses of them."""
-    # About their centre, where the phases that focusing goes by begin.
+    """Build a finder from one of the library's classes, or from a subclass of ours."""
+    # Centred, since focusing relies on phases relative to the array's centre.
     centred = array.positions - array.positions.mean(axis=0)
     return finder(
         centred.T,
@@ -42,9 +42,9 @@ def build(finder: Any, array: MicrophoneArray, **options: Any) -> Any:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Without the warnings of divisions by zero and of badly conditioned systems.
+    """Suppress warnings of divisions by zero and of badly conditioned systems.
 
-    The library meets both where a direction fits perfectly, and goes on with infinity.
+    The library runs into both where a direction fits perfectly, and continues with infinity.
     """
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore", scipy.linalg.LinAlgWarning)

@@ -1,12 +1,12 @@
-"""Root-MUSIC: the MUSIC denominator of a uniform line as a polynomial, its roots as directions.
+"""Root-MUSIC: roots of the MUSIC denominator, a polynomial on a uniform linear array.
 
-On N microphones at distances d along a line, a source at angle phi to the line's axis gives the
-steering vector 1, z, z^2, ... with z = exp(j 2 pi f d cos(phi) / c), so that a^H Un Un^H a is a
+On N microphones at distances d along a line, a source at angle phi to the line's axis has the
+steering vector 1, z, z^2, ... with z = exp(j 2 pi f d cos(phi) / c), so a^H Un Un^H a is a
 polynomial in z whose coefficients are the sums of the diagonals of Un Un^H. Its roots come in pairs
-mirrored at the unit circle; the inner ones nearest to it are the sources'. No grid is searched.
+mirrored at the unit circle; the inner roots nearest to it are the sources'. No grid is searched.
 
-Broadband: every bin gives its own directions, which vote for azimuths as narrow Gaussians; the
-maxima of the votes are the answer, sharpened to the votes' centre of gravity there.
+Broadband, the directions of every bin vote for azimuths as narrow Gaussians; the maxima of the
+votes are the estimates, refined to the votes' centre of gravity.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ CARD = Card(
     linear_only=True,
 )
 VOTE_WIDTH = float(np.deg2rad(3.0))
-"""Standard deviation of a vote"""
+"""Standard deviation of a vote in radians"""
 CLOSENESS = 0.1
 """Distance to the unit circle at which a root's vote counts half"""
 LEAST_VOTE = 1e-6
-"""Of the highest"""
+"""Floor of the votes relative to the highest"""
 BEYOND = 1.1
-"""Largest |cos phi| that noise makes of a direction along the line; others are no sources"""
+"""Largest |cos phi| that noise can give a direction along the line; roots beyond are no sources"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,13 +62,13 @@ class Line:
     axis: float
     """Azimuth of the axis in radians"""
     bins: IntArray
-    """(F,)"""
+    """(F,) bins below spatial aliasing"""
     searched: BoolArray
-    """(A,)"""
+    """(A,) azimuths that are searched"""
 
 
 class RootMusic(ToldMethod[Line]):
-    """Root-MUSIC on uniform lines; of a source and its image behind the line the searched one."""
+    """Root-MUSIC on uniform linear arrays; it reports directions in the searched half."""
 
     card = CARD
 
@@ -76,7 +76,7 @@ class RootMusic(ToldMethod[Line]):
         return uniform_line(array)
 
     def estimate(self, audio: FloatArray, prepared: Line, num_sources: int) -> Estimate:
-        """Directions by falling votes; ``spectrum`` (360,) holds the votes."""
+        """Directions in order of falling votes; ``spectrum`` (360,) holds the votes."""
         line = prepared
         spectra = STFT.transform(audio)[line.order][:, line.bins]
         dimension = min(num_sources, len(audio) - 1)
@@ -84,8 +84,8 @@ class RootMusic(ToldMethod[Line]):
         roots = signal_roots(noise_projector(subspace), dimension)  # (F, M)
         omega = 2 * np.pi * STFT.frequencies[line.bins, None]
         cosine = np.angle(roots) * SPEED_OF_SOUND / (omega * line.spacing)
-        # Noise moves a root's phase by as much at any frequency, hence its cosine by 1 / f: least
-        # squares would weigh by f squared.
+        # Noise moves a root's phase equally at all frequencies, hence its cosine by 1 / f: least
+        # squares weights are f squared.
         weight = (omega / omega.max()) ** 2 / (1 + np.abs(1 - np.abs(roots)) / CLOSENESS)
         heard = np.abs(cosine) <= BEYOND
         angle = line.axis + np.arccos(np.clip(cosine[heard], -1, 1))
@@ -94,7 +94,7 @@ class RootMusic(ToldMethod[Line]):
 
 
 def uniform_line(array: MicrophoneArray) -> Line:
-    """The array as a uniform line, or ValueError saying what would be one."""
+    """The array as a uniform line; ValueError says what such a line is."""
     centred = array.positions - array.positions.mean(axis=0)
     direction = np.linalg.svd(centred)[2][0]
     along = centred @ direction
@@ -102,7 +102,7 @@ def uniform_line(array: MicrophoneArray) -> Line:
     spacings = np.diff(along[order])
     horizontal = float(np.hypot(direction[0], direction[1]))
     spacing = float(spacings.mean()) * horizontal
-    # Off by more than this an ideal steering vector is no longer the array's.
+    # Beyond this deviation the ideal steering vector does not describe the array.
     uniform = np.ptp(spacings) <= max(MIN_SPACING, 0.01 * spacings.mean())
     straight = np.abs(centred - along[:, None] * direction).max() < MIN_SPACING
     if not straight or not uniform:
@@ -122,14 +122,14 @@ def signal_roots(projector: ComplexArray, num_sources: int) -> ComplexArray:
     Parameters
     ----------
     projector : (F, N, N) complex128
-        On the noise subspaces, Un Un^H, the microphones in their order along the line.
-    num_sources : int
-        M, below N.
+        Projectors Un Un^H onto the noise subspaces, microphones in their order along the line.
+        num_sources : int
+            M, below N.
 
     Returns
     -------
     roots : (F, M) complex128
-        exp(j 2 pi f d cos(phi) / c) of sources without noise, the nearest to the circle first.
+        Roots, the nearest to the circle first; exp(j 2 pi f d cos(phi) / c) for noiseless sources.
     """
     microphones = projector.shape[-1]
     offsets = range(microphones - 1, -microphones, -1)
@@ -138,8 +138,8 @@ def signal_roots(projector: ComplexArray, num_sources: int) -> ComplexArray:
         [np.trace(projector, offset=k, axis1=-2, axis2=-1) for k in offsets], axis=-1
     )
     roots = polynomial_roots(coefficients)
-    # By modulus, not by being inside: on the circle a pair coincides, and rounding may push both
-    # of it out.
+    # Sorted by modulus, not tested for being inside: on the circle a pair coincides, and rounding
+    # may push both roots out.
     by_modulus = np.take_along_axis(roots, np.argsort(np.abs(roots), axis=-1), axis=-1)
     nearest: ComplexArray = by_modulus[:, microphones - 2 :: -1][:, :num_sources]
     return nearest
@@ -148,7 +148,7 @@ def signal_roots(projector: ComplexArray, num_sources: int) -> ComplexArray:
 def polynomial_roots(coefficients: ComplexArray) -> ComplexArray:
     """Roots (F, D) of polynomials (F, D + 1), highest power first, as eigenvalues.
 
-    A first coefficient of zero, whose root is infinite, is replaced by the smallest that counts.
+    A leading coefficient of zero, whose root is infinite, is replaced by the least significant one.
     """
     degree = coefficients.shape[-1] - 1
     scale = np.abs(coefficients).max(axis=-1)
@@ -162,10 +162,10 @@ def polynomial_roots(coefficients: ComplexArray) -> ComplexArray:
 
 
 def _vote(azimuth: FloatArray, weight: FloatArray, line: Line, num_sources: int) -> Estimate:
-    """The azimuths (V,) with the most weight (V,) around them."""
+    """Estimate of the azimuths with most votes, which have azimuths and weights (V,)."""
     distance = circular_error(azimuth_grid()[:, None], azimuth)  # (A, V)
     votes = np.exp(-0.5 * np.square(distance / VOTE_WIDTH)) @ weight
-    # The peaks' parabola takes reciprocals, which votes of almost nothing would overflow.
+    # The peaks' parabola uses reciprocals, which would overflow for votes near zero.
     votes = np.maximum(votes, LEAST_VOTE * votes.max())
     peaks = searched_peaks(votes, line.searched, num_sources)
     return Estimate(_centres(peaks.azimuth, azimuth, weight), votes)

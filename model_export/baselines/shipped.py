@@ -1,4 +1,4 @@
-"""The bundles that the service ships, beside the methods of the comparison."""
+"""The bundles that the service ships, as methods of the comparison."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SHIPPED = ("any-array", "paper")
 
 
 class ShippedBundle:
-    """A bundle as requests use it."""
+    """A bundle as a method, run as in the service."""
 
     counts = True
 
@@ -29,14 +29,14 @@ class ShippedBundle:
         self.bound = bundle.bound_array() is not None
         """Whether it fits one array only"""
         self.sha256 = bundle.sha256
-        """Of its manifest, which holds those of its files"""
+        """Hash of the manifest, which holds the hashes of the files"""
         self._bundle = bundle
         self._localizers: dict[str, Localizer] = {}
 
     def localize(
         self, audio: FloatArray, array: MicrophoneArray, num_sources: int | None = None
     ) -> Estimate:
-        """Directions of one window; ValueError where the bundle is bound to another array."""
+        """Directions of one window; ValueError if the bundle is bound to another array."""
         if not self._bundle.fits(array):
             raise ValueError(f"the bundle {self.card.name} does not fit the array {array.name}")
         if array.name not in self._localizers:
@@ -48,5 +48,5 @@ class ShippedBundle:
 
 @cache
 def shipped() -> Mapping[str, ShippedBundle]:
-    """The bundles by name."""
+    """Shipped bundles by name."""
     return {name: ShippedBundle(load_bundle(EMBEDDED_MODELS / name)) for name in SHIPPED}

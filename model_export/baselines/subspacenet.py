@@ -1,8 +1,8 @@
 """SubspaceNet (Shmuel et al., TVT 2024): an autoencoder from autocorrelations to a covariance.
 
-The paper's network (section III) takes the autocorrelation tensor of several lags through
-convolutions with anti-rectifiers and deconvolutions to a matrix K, and K K^H + eps I, positive by
-construction, to a differentiable subspace method.
+The paper's network (section III) maps the autocorrelation tensor of several lags, by convolutions
+with anti-rectifiers and deconvolutions, to a matrix K. A differentiable subspace method takes
+K K^H + eps I, which is positive by construction.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ LAGS = 8
 LOADING = 1.0
 """eps"""
 SHARPNESS = 20.0
-"""Of the softmax over a MUSIC spectrum: a background at half the peak has no weight"""
+"""Factor in the softmax over a MUSIC spectrum: a background at half the peak has no weight"""
 
 
 class AntiRectifier(nn.Module):
-    """[ReLU(x), ReLU(-x)]: twice the channels, nothing lost."""
+    """[ReLU(x), ReLU(-x)]: twice the channels, without loss of information."""
 
     def forward(self, inputs: Tensor) -> Tensor:
         return torch.cat([inputs.relu(), (-inputs).relu()], 1)
 
 
 class AutocorrelationNetwork(nn.Module):
-    """Autocorrelations (B, K, lags, 2, N, N) to covariances (B, K, 2, N, N), band by band."""
+    """Maps autocorrelations (B, K, lags, 2, N, N) to covariances (B, K, 2, N, N), band by band."""
 
     def __init__(self, num_microphones: int, width: float) -> None:
         super().__init__()
@@ -68,7 +68,7 @@ class AutocorrelationNetwork(nn.Module):
     def forward(self, autocorrelation: Tensor) -> Tensor:
         size = self.num_microphones
         images = autocorrelation.flatten(0, 1).flatten(2, 3)  # (B K, lags, 2 N, N)
-        # Three kernels of two need four columns.
+        # Three kernels of size two need four columns.
         images = F.pad(images, (0, max(0, 4 - size)))
         root = self.layers(images)[:, 0, :, :size]  # (B K, 2 N, N)
         root = root.unflatten(0, autocorrelation.shape[:2]).unflatten(-2, (2, size))
@@ -76,7 +76,7 @@ class AutocorrelationNetwork(nn.Module):
 
 
 def autocorrelations(snapshots: Tensor) -> Tensor:
-    """(B, K, lags, 2, N, N) of snapshots (B, N, K, L)."""
+    """Autocorrelations (B, K, lags, 2, N, N) of snapshots (B, N, K, L)."""
     return planes(lagged_covariances(snapshots, LAGS))
 
 
@@ -105,7 +105,7 @@ class SubspaceNet(HybridNetwork):
         )
 
     def loss(self, prediction: Prediction, truth: Truth, array: MicrophoneArray) -> Tensor:
-        """RMSPE in expectation, and the count's cross entropy."""
+        """Root of the expected squared periodic error, and the count's cross entropy."""
         assert prediction.spectrum is not None
         error = expected_square(prediction.spectrum, truth)
         return (error + 1e-9).sqrt() + COUNT_WEIGHT * count_loss(prediction, truth)
@@ -114,10 +114,9 @@ class SubspaceNet(HybridNetwork):
 def expected_square(spectrum: Tensor, truth: Truth) -> Tensor:
     """Squared periodic error in radians squared of directions drawn from spectra (B, A).
 
-    Every angle belongs to the source that is nearest to it, which settles the permutation, and the
-    softmax within a source's angles is its direction's distribution. The error of that softmax's
-    mean in a narrow window, a soft argmax, would be unmoved by peaks elsewhere and zero for a flat
-    spectrum; the expectation of the error is neither.
+    Every angle belongs to its nearest source, which settles the permutation, and the softmax over a
+    source's angles is the distribution of its direction. A soft argmax in a narrow window would
+    ignore peaks elsewhere and have no error for a flat spectrum; the expected error does neither.
     """
     device = spectrum.device
     grid = torch.arange(spectrum.shape[-1], device=device) * (2 * torch.pi / spectrum.shape[-1])
@@ -127,7 +126,7 @@ def expected_square(spectrum: Tensor, truth: Truth) -> Tensor:
     sources = torch.arange(truth.mask.shape[1], device=device)[:, None]
     owned = truth.mask[..., None] & (owner[:, None] == sources)
     logits = (SHARPNESS * spectrum)[:, None].masked_fill(~owned, -torch.inf)
-    # Sources that do not exist own no angle; a softmax over none would be undefined.
+    # Absent sources own no angle; a softmax over no angle would be undefined.
     logits = logits.masked_fill(~truth.mask[..., None], 0.0)
     error = torch.where(owned, logits.softmax(-1) * nearest[:, None], 0.0).sum(-1)  # (B, M)
     return error.sum() / truth.mask.sum().clamp(min=1)

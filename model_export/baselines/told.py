@@ -1,7 +1,7 @@
-"""What the classical methods share: they are told the number of sources, and keep an array's part.
+"""Base of the classical methods, which are told the number of sources.
 
-Steering vectors and grids depend on the array alone and are computed once for it; scenes of one
-array in a row therefore cost only what depends on the audio.
+What depends on the array alone, such as steering vectors, is computed once for consecutive scenes
+of the same array.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from service.doa.types import BoolArray, FloatArray, IntArray
 STFT = Stft()
 """Framing of every classical method: the service's own"""
 SPEECH_BAND = (300.0, 3500.0)
-"""Hertz: below it a 46 mm array sees hardly a delay; above it speech is weak, and from c / (2 d) =
-3750 Hz the delays of the square's sides are ambiguous. The service's classical band as well."""
+"""Hertz, as in the service's classical methods. Below it a 46 mm array has hardly any delay; above
+it speech is weak, and from c / (2 d) = 3750 Hz the delays of the square's sides are ambiguous."""
 
 PreparedT = TypeVar("PreparedT")
 
 
 class ToldMethod(ABC, Generic[PreparedT]):
-    """A method that needs the count; subclasses say what an array and what a window takes."""
+    """A method that needs the count; subclasses prepare an array and estimate a window."""
 
     card: ClassVar[Card]
     counts = False
@@ -37,25 +37,25 @@ class ToldMethod(ABC, Generic[PreparedT]):
 
     @abstractmethod
     def prepare(self, array: MicrophoneArray) -> PreparedT:
-        """All that depends on the array alone; ValueError where the method does not fit it."""
+        """Compute what depends on the array alone; ValueError if the method does not fit it."""
 
     @abstractmethod
     def estimate(self, audio: FloatArray, prepared: PreparedT, num_sources: int) -> Estimate:
-        """Directions of one window (N, T) that is not silent; at most ``num_sources``."""
+        """Estimate at most ``num_sources`` directions of one window (N, T) that is not silent."""
 
     def localize(
         self, audio: FloatArray, array: MicrophoneArray, num_sources: int | None = None
     ) -> Estimate:
-        """Directions of one window, as ``Method.localize`` has it.
+        """Directions of one window, as in ``Method.localize``.
 
-        A window of zeros has no direction. Where there are as many sources as microphones or more,
-        subspaces take one dimension less than there are microphones.
+        A window of zeros has no direction. A signal subspace has at most one dimension less than
+        there are microphones.
 
         Raises
         ------
         ValueError
-            If the count is missing or below 1, the audio does not have the array's channels or not
-            a frame's length, or the method cannot be used with the array.
+            If the count is missing or below 1, the audio does not have the array's channels or is
+            shorter than a frame, or the method cannot be used with the array.
         """
         if num_sources is None or num_sources < 1:
             raise ValueError(
@@ -86,5 +86,5 @@ def band_bins(band: tuple[float, float]) -> IntArray:
 
 
 def searched_peaks(spectrum: FloatArray, searched: BoolArray, num_sources: int) -> Estimate:
-    """The highest circular maxima (A,) among the searched azimuths (A,), see ``searched_half``."""
+    """Estimate from the highest circular maxima of a spectrum (A,) at searched azimuths (A,)."""
     return Estimate.of_spectrum(np.where(searched, spectrum, spectrum.min()), num_sources)

@@ -3,10 +3,10 @@
 The signal subspace of the loudest bin, moved to every other bin's frequency for an assumed azimuth,
 is orthogonal to that bin's noise subspace where a source is. No focusing angles are needed.
 
-The library (0.10) takes the steering of bin k of the spectrum where bin k of the band is meant, so
-its band has to begin with the spectrum: TOPS sees differences of frequency only, hence the band is
-moved there and all indices agree. It tests the loudest bin against itself, which adds zeros, and
-leaves the last bin out, which costs one of a hundred.
+The library (0.10) uses the steering of bin k of the spectrum for bin k of the band, which is right
+only if the band starts with the spectrum. TOPS depends on differences of frequency only, so the
+band is moved there and all indices agree. The library also tests the loudest bin against itself,
+which adds zeros, and leaves out the last bin, one in a hundred.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ CARD = Card(
     "500-4000 Hz, the band moved so that the library's bins agree, circular peaks",
 )
 BAND = (500.0, 4000.0)
-"""Hertz; higher than for the others, since TOPS lives on the noise subspaces of many bins, and
-those of the lowest ones, where all directions look alike, tell nothing"""
+"""Hertz; higher than for the other methods, since TOPS relies on the noise subspaces of many bins,
+and the lowest bins, at which all directions look alike, carry no information"""
 
 
 class Tops(ToldMethod[tuple[Any, BoolArray]]):

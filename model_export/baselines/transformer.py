@@ -28,18 +28,18 @@ WINDOW = 256
 FRAMES = 61
 PATCH, STRIDE = 16, 6
 NUM_PATCHES = 180
-"""20 in frequency by 9 in time"""
+"""Number of patches, 20 in frequency by 9 in time"""
 PLANES = 3
-"""Of a microphone: level, cosine and sine of its relative phase"""
+"""Planes per microphone: level, cosine and sine of its relative phase"""
 DEPTH = 3
 HEADS, HEAD_SIZE = 16, 64
 DROPOUT = 0.2
 
 
 class PatchEmbedding(nn.Module):
-    """Overlapping patches of (B, C, H, W) as tokens (B, 1 + 180, D), the class token first.
+    """Embeds overlapping patches of (B, C, H, W) as tokens (B, 1 + 180, D), the class token first.
 
-    ``scale`` widens patches and strides in frequency; the map is filled up with zeros.
+    ``scale`` widens patches and strides in frequency; the map is padded with zeros.
     """
 
     def __init__(self, planes: int, size: int, scale: int = 1) -> None:
@@ -59,9 +59,9 @@ class PatchEmbedding(nn.Module):
 
 
 def encoder(size: int, heads: int, depth: int) -> nn.TransformerEncoder:
-    """Layers that normalise before attention and before the perceptron, which is as wide.
+    """Layers that normalise before attention and before the perceptron, which has the same width.
 
-    Dropout is that of the layers' outputs; of attention weights it would cost half of the time.
+    Dropout applies to the layers' outputs only; on attention weights it would take half the time.
     """
     layer = nn.TransformerEncoderLayer(
         size, heads, size, DROPOUT, "gelu", batch_first=True, norm_first=True
@@ -71,11 +71,11 @@ def encoder(size: int, heads: int, depth: int) -> nn.TransformerEncoder:
 
 
 class TransformerTrunk(nn.Module):
-    """The matched track's: (B, 2N, 257, 64) to (B, 1024).
+    """The trunk of the matched track: maps (B, 2N, 257, 64) to (B, 1024).
 
-    One encoder as deep as the publication's two in sequence: the features are relative to one
-    microphone already, so patches of all microphones together are the tokens. A patch covers 32
-    bins, the publication's kilohertz, which gives its 180 patches.
+    It has one encoder, as deep as the publication's two in sequence: the features are already
+    relative to one microphone, so the tokens are patches of all microphones together. A patch
+    covers 32 bins, a kilohertz as in the publication, which gives its 180 patches.
     """
 
     def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:
@@ -92,7 +92,7 @@ class TransformerTrunk(nn.Module):
 
 
 class Transformer(BaselineNetwork):
-    """As cited: one encoder for every microphone, one for all; 38.2 M parameters for two ears.
+    """BAST as cited: one encoder for each microphone, one for all; 38.2 M parameters for two ears.
 
     ``width`` scales the number of heads of 64.
     """
@@ -106,16 +106,16 @@ class Transformer(BaselineNetwork):
         size = heads * HEAD_SIZE
         self.patches = PatchEmbedding(PLANES, size)
         self.encoder = encoder(size, heads, DEPTH)
-        # Of two microphones the publication's difference and sum are cases of this.
+        # For two microphones, the publication's difference and sum are special cases of this.
         self.mixture = nn.Parameter(torch.randn(num_microphones, size) / num_microphones**0.5)
         self.integration = encoder(size, heads, DEPTH)
         self.norm = nn.LayerNorm(size)
         self.head = DirectionHead(size)
-        # Narrower layers take longer steps: with Adam, outputs move by the width times the rate.
+        # Narrower layers get a higher rate: with Adam, outputs move by the width times the rate.
         self.learning_rate = 1e-4 * HEADS / heads  # type: ignore[misc]
 
     def features(self, audio: FloatArray) -> FloatArray:
-        """(B, N, 3, 129, 61), the frames being spread over the whole window."""
+        """Features (B, N, 3, 129, 61); the frames are spread over the whole window."""
         hop = (audio.shape[-1] - WINDOW) // (FRAMES - 1)
         spectra = framed_spectra(audio, WINDOW, hop, WINDOW)[..., :FRAMES, :]  # (B, N, L, F)
         level = np.float32(LEVEL_SCALE) * log_level(spectra.real**2 + spectra.imag**2)

@@ -1,9 +1,8 @@
-"""TransMUSIC (Ji et al., 2024): a transformer over the snapshots in the place of the covariance.
+"""TransMUSIC (Ji et al., 2024): a transformer over the snapshots in place of the covariance.
 
-The transformer's output is a signal subspace, MUSIC's spectrum of it goes to a network that finds
-the peaks, and the subspace's eigenvalues tell the number of sources. The paper's sizes are not
-known to us; they are chosen here, and so is the mean over the snapshots, of which a covariance does
-not know the order.
+The transformer's output is a signal subspace. A network finds the peaks of its MUSIC spectrum, and
+its eigenvalues determine the number of sources. We do not know the paper's sizes and chose them; we
+also chose to average over the snapshots, as a covariance does not depend on their order.
 """
 
 from __future__ import annotations
@@ -31,11 +30,11 @@ DEPTH = 2
 HEADS = 8
 SIZE = 256
 LOADING = 1e-3
-"""eps, against entries of K that training sets"""
+"""eps, small against the entries of K"""
 
 
 class SnapshotTransformer(nn.Module):
-    """Snapshots (B, N, K, L, 2), real and imaginary part, to covariances (B, K, 2, N, N)."""
+    """Maps snapshots (B, N, K, L, 2), real and imaginary part, to covariances (B, K, 2, N, N)."""
 
     def __init__(self, num_microphones: int, num_bands: int, width: float) -> None:
         super().__init__()
@@ -43,7 +42,7 @@ class SnapshotTransformer(nn.Module):
         size = HEADS * max(1, round(SIZE * width / HEADS))
         inputs = 2 * num_microphones * num_bands
         self.embedding = nn.Linear(inputs, size)
-        # Fresh layers for every depth: torch's own stack would copy one and begin with equal ones.
+        # Each layer is initialised by itself: torch's own stack would start with copies of one.
         self.layers = nn.Sequential(
             *(
                 nn.TransformerEncoderLayer(

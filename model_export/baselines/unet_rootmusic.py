@@ -34,7 +34,7 @@ POOLINGS = 2
 
 
 class CovarianceUNet(nn.Module):
-    """Sample covariances (B, K, 2, N, N) to cleaner ones of the same shape, bands as channels."""
+    """Maps sample covariances (B, K, 2, N, N) to cleaner ones, with the bands as channels."""
 
     def __init__(self, num_bands: int, width: float) -> None:
         super().__init__()
@@ -76,7 +76,7 @@ def sample_planes(snapshots: Tensor) -> Tensor:
 class UNetRootMusicTrunk(BandTrunk):
     """The U-Net on sample covariances of the matched track's features.
 
-    The matched losses leave it to the network what its covariances are.
+    The losses of the matched track do not prescribe the covariances.
     """
 
     def __init__(self, num_microphones: int, *, width: float = 1.0) -> None:

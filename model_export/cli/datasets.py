@@ -1,4 +1,4 @@
-"""``python -m model_export datasets list|verify``: where data sets are, whether one is whole."""
+"""``python -m model_export datasets list|verify``: list the data sets, check a download."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ if TYPE_CHECKING:
     from model_export.datasets.item import Dataset
 
 SHOWN = 10
-"""Faults of one kind that are printed; all are in the JSON"""
+"""Most faults of one kind that are printed; the JSON has all"""
 
 
 def add(commands: Any) -> None:
     """Add ``datasets`` to the subparsers of the command line."""
-    datasets = commands.add_parser("datasets", help="what data sets there are, check a download")
+    datasets = commands.add_parser("datasets", help="list the data sets, or check a download")
     actions = datasets.add_subparsers(required=True, metavar="ACTION")
     listing = actions.add_parser("list", help="names, licences, where to get them, layouts")
     listing.set_defaults(run_command=_list)
     check = actions.add_parser(
         "verify",
-        help="is a download complete? exit status 0 yes, 1 no, 2 not recognised",
+        help="check whether a download is complete (exit status 0: yes, 1: no, 2: not recognised)",
     )
     check.add_argument("folder", type=Path, metavar="DIR")
-    check.add_argument("--dataset", metavar="NAME", help="default: by what DIR holds")
+    check.add_argument("--dataset", metavar="NAME", help="default: recognised by the files in DIR")
     check.set_defaults(run_command=_verify)
     for action in (listing, check):
         action.add_argument("--json", action="store_true", help="print JSON")
@@ -65,7 +65,9 @@ def _verify(arguments: argparse.Namespace) -> int:
 
     folder = arguments.folder
     if not folder.is_dir():
-        raise FileNotFoundError(f"{folder} is no folder: name the one that a download unpacked to")
+        raise FileNotFoundError(
+            f"{folder} is no folder: name the folder that a download unpacked to"
+        )
     dataset = named(arguments.dataset) if arguments.dataset else recognise(folder)
     counts, faults = dataset.counts(folder), dataset.verify(folder)
     if arguments.json:

@@ -21,25 +21,33 @@ def add(commands: Any) -> None:
     evaluate.add_argument("--scenes", type=int, default=500, help="scenes a cell (default 500)")
     evaluate.add_argument("--workers", type=int, default=2, help="processes (default 2)")
     evaluate.add_argument(
-        "--cells", metavar="PATTERN", help="only cells like 'M=2*', '60 s*', 'reliability'; printed"
+        "--cells", metavar="PATTERN", help="only print cells like 'M=2*', '60 s*', 'reliability'"
     )
     add_split(evaluate)
     evaluate.add_argument(
-        "--steady", type=Path, nargs="*", default=[], metavar="FILE", help="further steady noises"
+        "--steady",
+        type=Path,
+        nargs="*",
+        default=[],
+        metavar="FILE",
+        help="further noises, steady recordings",
     )
     evaluate.add_argument("--out", type=Path, help="folder of the tables (default: only print)")
     evaluate.add_argument(
         "--write-scores", action="store_true", help="put the scores into the bundles' manifests"
     )
-    evaluate.add_argument("--figures", type=int, metavar="N", help="draw, with N scenes a point")
+    evaluate.add_argument("--figures", type=int, metavar="N", help="draw figures, N scenes a point")
     evaluate.add_argument("--readme", type=Path, help="README whose results table to renew")
     evaluate.set_defaults(run_command=_evaluate)
 
 
 def add_split(parser: argparse.ArgumentParser) -> None:
-    """Add the flag of the speakers that are heard."""
+    """Add the flag that chooses the speakers."""
     parser.add_argument(
-        "--split", choices=("heldout", "development"), default="heldout", help="speakers"
+        "--split",
+        choices=("heldout", "development"),
+        default="heldout",
+        help="speakers (default heldout)",
     )
 
 
@@ -62,14 +70,16 @@ def _evaluate(arguments: argparse.Namespace) -> None:
 
 
 def _check_writing(arguments: argparse.Namespace) -> None:
-    """Only a whole run on the held-out speakers becomes the documents' truth."""
+    """Refuse to write anything but a whole run on the held-out speakers."""
     partial = arguments.cells is not None or arguments.split != "heldout"
     if partial and (arguments.out or arguments.write_scores):
         raise ValueError(
-            "--cells and --split development only print: leave --out and --write-scores out"
+            "--cells and --split development only print: remove --out and --write-scores"
         )
     if not arguments.out and (arguments.write_scores or arguments.figures or arguments.readme):
-        raise ValueError("--write-scores, --figures and --readme need --out, where results.json is")
+        raise ValueError(
+            "--write-scores, --figures and --readme need --out, the folder of results.json"
+        )
 
 
 def _write_results(arguments: argparse.Namespace, workers: Workers, results: Results) -> None:

@@ -29,11 +29,11 @@ class Experiment:
     name: str
     title: str
     run: Callable[[Any, Path], Any]
-    """Of a study and the folder for figures"""
+    """Function of a study and the folder for figures that returns an outcome"""
 
 
 def experiments() -> dict[str, Experiment]:
-    """All of them by name, in the document's order."""
+    """All experiments by name, in the document's order."""
     from model_export.experiments import curves, self_supervision, spectra, tables
 
     found = (
@@ -82,23 +82,25 @@ def add(commands: Any) -> None:
 
     real = commands.add_parser("recordings", help="the paper's comparison on a downloaded data set")
     real.add_argument("dataset", choices=RECORDINGS, metavar="DATASET", help=", ".join(RECORDINGS))
-    real.add_argument("folder", type=Path, help="where it was unpacked (docs/datasets.md)")
+    real.add_argument("folder", type=Path, help="folder that it unpacked to (docs/datasets.md)")
     _add_where(real)
     real.set_defaults(run_command=_recordings, speech_commands=Path())
 
 
 def _add_where(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--scale", choices=sorted(SCALES), default="small")
+    parser.add_argument(
+        "--scale", choices=sorted(SCALES), default="small", help="size (default small)"
+    )
     parser.add_argument(
         "--runs",
         type=Path,
         default=Path("runs/experiments"),
-        help="folder of scenes, trainings and scores; what is there is not done again",
+        help="folder of scenes, trainings and scores; existing ones are reused",
     )
     parser.add_argument("--out", type=Path, help="docs folder to renew (default: only print)")
     parser.add_argument("--workers", type=int, default=1, help="processes")
     parser.add_argument(
-        "--methods", nargs="+", default=[], metavar="METHOD", help="only these rows; printed only"
+        "--methods", nargs="+", default=[], metavar="METHOD", help="only print these rows"
     )
     add_device(parser)
 
@@ -140,11 +142,11 @@ def _study(arguments: argparse.Namespace) -> Study:
     from model_export.experiments.study import Study
 
     if arguments.methods and arguments.out:
-        raise ValueError("--methods only prints: leave --out out")
+        raise ValueError("--methods only prints: remove --out")
     known = [*cards(), *SHIPPED]
     for name in arguments.methods:
         if name not in known:
-            raise ValueError(f"no method is named {name!r}: {', '.join(known)}")
+            raise ValueError(f"no method is named {name!r}; the methods are {', '.join(known)}")
     return Study(
         arguments.runs / arguments.scale,
         arguments.scale,
@@ -163,7 +165,7 @@ def _tell(
     command: str,
     outcome: Outcome,
 ) -> None:
-    """Print an outcome, and renew the documents where there is a folder for them."""
+    """Print an outcome, and renew the documents if ``--out`` names their folder."""
     print(f"\n### {title}\n\n{outcome.markdown()}\n")
     if arguments.out:
         whole = f"python -m model_export {command} --scale {arguments.scale} --out docs"

@@ -1,4 +1,4 @@
-"""``export``: from a run to a bundle that serves."""
+"""``export``: turn a run into a bundle that the service loads."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ def add(commands: Any) -> None:
     export.add_argument("--run", type=Path, required=True, help="folder of the trained run")
     export.add_argument("--out", type=Path, required=True, help="folder of the bundle")
     export.add_argument("--name", help="the bundle's name (default: the configuration's)")
-    export.add_argument("--version", default="0.1.0")
-    export.add_argument("--counting-scenes", type=int, default=16000)
+    export.add_argument("--version", default="0.1.0", help="the bundle's version (default 0.1.0)")
     export.add_argument(
-        "--source-count", type=Path, metavar="BUNDLE", help="take this bundle's, train none"
+        "--counting-scenes", type=int, default=16000, help="scenes for the source count"
     )
-    add_rooms(export, required=True)
+    export.add_argument(
+        "--source-count", type=Path, metavar="BUNDLE", help="reuse this bundle's source count"
+    )
+    add_rooms(export, use=", where the source count is trained")
     add_corpora(export, required=True)
     export.set_defaults(run_command=_export)
 

@@ -1,4 +1,4 @@
-"""``finetune`` and ``own-room``: a bundle for one's own room, and recordings to try it on."""
+"""``finetune`` and ``own-room``: fit a bundle to one's own room, simulate such a room."""
 
 from __future__ import annotations
 
@@ -15,16 +15,27 @@ def add(commands: Any) -> None:
     tune = commands.add_parser("finetune", help="fine-tune a bundle on labelled recordings")
     tune.add_argument("--bundle", type=Path, required=True, help="folder of the bundle")
     tune.add_argument("--recordings", type=Path, required=True, help="folder with labels.csv")
-    tune.add_argument("--array", required=True, metavar="NAME|JSON|@FILE", help="their array")
-    tune.add_argument("--channel-map", metavar="0,1,...", help="their channel of every microphone")
-    tune.add_argument("--test", type=Path, help="folder of further recordings that only score")
+    tune.add_argument(
+        "--array", required=True, metavar="NAME|JSON|@FILE", help="array of the recordings"
+    )
+    tune.add_argument(
+        "--channel-map", metavar="0,1,...", help="recording channel of every microphone"
+    )
+    tune.add_argument("--test", type=Path, help="folder of further recordings, for scores only")
     tune.add_argument("--out", type=Path, required=True, help="folder of the new bundle")
-    tune.add_argument("--name", help="the new bundle's name (default: the old one's -finetuned)")
-    tune.add_argument("--steps", type=int, default=100)
-    tune.add_argument("--learning-rate", type=float, help="of the network")
-    tune.add_argument("--validation-share", type=float, default=0.2, help="of the directions")
+    tune.add_argument("--name", help="the new bundle's name (default: OLD-finetuned)")
+    tune.add_argument("--steps", type=int, default=100, help="optimizer steps (default 100)")
+    tune.add_argument("--learning-rate", type=float, help="learning rate of the network")
+    tune.add_argument(
+        "--validation-share",
+        type=float,
+        default=0.2,
+        help="share of directions that validate (default 0.2)",
+    )
     tune.add_argument("--seed", type=int, default=1)
-    tune.add_argument("--force", action="store_true", help="write a bundle that is no better, too")
+    tune.add_argument(
+        "--force", action="store_true", help="write the bundle even if it is no better"
+    )
     add_rooms(tune, use=", to mix simulated scenes in")
     add_speech_commands(tune, required=False, use=", for these scenes")
     tune.set_defaults(run_command=_finetune)
@@ -32,7 +43,7 @@ def add(commands: Any) -> None:
     own = commands.add_parser("own-room", help="simulate recordings to try fine-tuning on")
     own.add_argument("--out", type=Path, required=True, help="folder of recordings/ and test/")
     own.add_argument("--array", choices=sorted(PRESETS), default="respeaker-usb-4mic-v2")
-    own.add_argument("--directions", type=int, default=36)
+    own.add_argument("--directions", type=int, default=36, help="directions (default 36)")
     own.add_argument("--seed", type=int, default=1)
     add_speech_commands(own)
     own.set_defaults(run_command=_own_room)
@@ -44,7 +55,7 @@ def _finetune(arguments: argparse.Namespace) -> None:
     from service.cli.inputs import read_array
 
     if (arguments.rooms is None) != (arguments.speech_commands is None):
-        raise ValueError("simulated scenes take both --rooms and --speech-commands")
+        raise ValueError("simulated scenes need both --rooms and --speech-commands: add the other")
     finetune_run(
         arguments.bundle,
         arguments.recordings,

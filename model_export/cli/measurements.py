@@ -1,4 +1,4 @@
-"""``ego-noise``, ``mistakes``, ``tracking``, ``classical-confidence``: what single pages report."""
+"""``ego-noise``, ``mistakes``, ``tracking``, ``classical-confidence``: further measurements."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ from model_export.cli.speech import add_librispeech, add_speech_commands, uttera
 
 def add(commands: Any) -> None:
     """Add the four commands."""
-    ego = commands.add_parser("ego-noise", help="what a noise profile gains: docs/ego-noise.md")
+    ego = commands.add_parser("ego-noise", help="gain of a noise profile: docs/ego-noise.md")
     add_speech_commands(ego)
-    ego.add_argument("--scenes", type=int, default=60)
-    ego.add_argument("--snr-db", type=float, default=0.0, help="talker against the noise")
+    ego.add_argument("--scenes", type=int, default=60, help="talkers (default 60)")
+    ego.add_argument("--snr-db", type=float, default=0.0, help="talker over the noise")
     ego.add_argument("--alone", type=float, default=60.0, help="seconds of the noise alone")
     ego.add_argument("--seed", type=int, default=7)
     _add_page(ego, "docs/ego-noise.md", _ego_noise)
 
-    mistakes = commands.add_parser("mistakes", help="which are named: docs/diagnostics.md")
+    mistakes = commands.add_parser("mistakes", help="mistakes that are named: docs/diagnostics.md")
     add_librispeech(mistakes)
-    mistakes.add_argument("--recordings", type=Path, help="real recordings of the array, correct")
-    mistakes.add_argument("--seconds", type=float, nargs="+", default=[10.0, 30.0])
+    mistakes.add_argument("--recordings", type=Path, help="correct real recordings of the array")
+    mistakes.add_argument(
+        "--seconds", type=float, nargs="+", default=[10.0, 30.0], help="lengths (default 10 30)"
+    )
     mistakes.add_argument("--seed", type=int, default=3)
     _add_page(mistakes, "docs/diagnostics.md", _mistakes)
 
@@ -36,10 +38,10 @@ def add(commands: Any) -> None:
     _add_page(tracking, "docs/tracking.md", _tracking)
 
     confidence = commands.add_parser(
-        "classical-confidence", help="fit what a classical peak is worth (printed)"
+        "classical-confidence", help="fit and print the confidences of classical peaks"
     )
     add_speech_commands(confidence)
-    confidence.add_argument("--windows", type=int, default=1800)
+    confidence.add_argument("--windows", type=int, default=1800, help="windows (default 1800)")
     confidence.add_argument("--seed", type=int, default=11)
     confidence.set_defaults(run_command=_classical_confidence)
 

@@ -1,4 +1,4 @@
-"""``rooms``, ``simulate``, ``sample``: rooms to train with, scenes and a recording to look at."""
+"""``rooms``, ``singles``, ``simulate``, ``sample``: what to train with, and what to look at."""
 
 from __future__ import annotations
 
@@ -11,12 +11,22 @@ from service.doa.presets import PRESETS
 
 
 def add(commands: Any) -> None:
-    """Add the three commands."""
+    """Add the four commands."""
     rooms = commands.add_parser("rooms", help="simulate the room bank that training draws from")
     rooms.add_argument("--out", type=Path, required=True, help="folder of the chunks")
     rooms.add_argument("--chunks", type=int, default=160, help="chunks of 32 rooms")
     rooms.add_argument("--workers", type=int, default=1, help="processes")
     rooms.set_defaults(run_command=_rooms)
+
+    singles = commands.add_parser(
+        "singles", help="simulate the bank of single talkers that the paper's network learns from"
+    )
+    singles.add_argument("--out", type=Path, required=True, help="folder of the chunks")
+    singles.add_argument("--chunks", type=int, default=36, help="chunks of 1,000 talkers")
+    singles.add_argument("--array", choices=sorted(PRESETS), default="respeaker-usb-4mic-v2")
+    singles.add_argument("--seed", type=int, default=0)
+    add_speech_commands(singles)
+    singles.set_defaults(run_command=_singles)
 
     simulate = commands.add_parser("simulate", help="write simulated scenes with their metadata")
     simulate.add_argument("--out", type=Path, required=True, help="folder of the scenes")
@@ -40,6 +50,13 @@ def _rooms(arguments: argparse.Namespace) -> None:
     from model_export.simulation.rooms import write_room_bank
 
     write_room_bank(arguments.out, arguments.chunks, workers=arguments.workers)
+
+
+def _singles(arguments: argparse.Namespace) -> None:
+    from model_export.simulation.singles import write_singles
+
+    speech = words(arguments.speech_commands, "train")
+    write_singles(arguments.out, arguments.array, speech, arguments.chunks, arguments.seed)
 
 
 def _simulate(arguments: argparse.Namespace) -> None:

@@ -1,4 +1,4 @@
-"""The corpora: their flags, which every command names alike, and what is read from them."""
+"""The corpora: flags with the same names in every command, and functions that read them."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ if TYPE_CHECKING:
     from service.doa.types import FloatArray
 
 LIBRISPEECH_REPEATS = 6
-"""Utterances stand this often among the words, so that a tenth of the scenes is running speech"""
+"""Copies of each utterance among the words: a tenth of the scenes is running speech"""
 EVENT_REPEATS = 5
-"""Barks and cries among the words: one source in twenty"""
+"""Copies of each bark or cry among the words: one source in twenty"""
 BURSTS = 300
-"""Synthetic sounds that are no speech: one source in sixteen"""
+"""Number of synthetic sounds that are no speech: one source in sixteen"""
 
 
 def add_speech_commands(
     parser: argparse.ArgumentParser, *, required: bool = True, use: str = ""
 ) -> None:
-    """Add the flag of Google Speech Commands; ``use`` says what for, where that is not plain."""
+    """Add the flag of Google Speech Commands; ``use`` adds its purpose to the help."""
     text = f"folder of Google Speech Commands{use}"
     parser.add_argument("--speech-commands", type=Path, required=required, metavar="DIR", help=text)
 
@@ -33,7 +33,7 @@ def add_librispeech(parser: argparse.ArgumentParser, *, required: bool = True) -
 
 
 def add_corpora(parser: argparse.ArgumentParser, *, required: bool) -> None:
-    """Add the flags of all that a training hears."""
+    """Add the flags of all corpora that a training reads."""
     add_speech_commands(parser, required=required)
     add_librispeech(parser, required=False)
     parser.add_argument(
@@ -42,7 +42,7 @@ def add_corpora(parser: argparse.ArgumentParser, *, required: bool) -> None:
 
 
 def add_rooms(parser: argparse.ArgumentParser, *, required: bool = False, use: str = "") -> None:
-    """Add the flag of the room bank; ``use`` says what for, where that is not plain."""
+    """Add the flag of the room bank; ``use`` adds its purpose to the help."""
     text = f"folder of the room bank{use}"
     parser.add_argument("--rooms", type=Path, required=required, metavar="DIR", help=text)
 
@@ -71,7 +71,7 @@ def utterances(folder: Path, split: Split) -> list[FloatArray]:
 
 
 def sources(arguments: argparse.Namespace, split: Split) -> list[FloatArray]:
-    """What talks in scenes: words and, to train on, utterances, sound events and bursts."""
+    """Sources of scenes: words and, for training, utterances, sound events and bursts."""
     import numpy as np
 
     from model_export.datasets.noise import noise_recordings
@@ -89,14 +89,14 @@ def sources(arguments: argparse.Namespace, split: Split) -> list[FloatArray]:
 
 
 def noises(arguments: argparse.Namespace) -> list[FloatArray]:
-    """Steady recordings that scenes have as noise."""
+    """Steady recordings that are the noise of scenes."""
     from model_export.datasets.noise import noise_recordings
 
     return noise_recordings(arguments.noise, "steady") if arguments.noise else []
 
 
 def licences(arguments: argparse.Namespace) -> dict[str, str]:
-    """The licence of every corpus that a training was given."""
+    """Licence by name of every corpus that a training was given."""
     found = {"Google Speech Commands, training speakers": "CC BY 4.0"}
     if arguments.librispeech:
         found["LibriSpeech, training speakers"] = "CC BY 4.0"

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from model_export.cli.device import add_device, device
-from model_export.cli.speech import add_corpora, add_rooms, noises, sources
+from model_export.cli.speech import add_corpora, add_rooms, noises, sources, words
 from model_export.training.config import CONFIGS, TrainingConfig, smoke
 from service.doa.presets import preset
 
 if TYPE_CHECKING:
-    from model_export.training.scene_stream import RoomSource, SceneSource
+    from model_export.training.scene_stream import SceneSource
+
+OVERRIDES = ("steps", "batch_size", "learning_rate", "seed")
+"""Fields of a configuration that have a flag of their own"""
 
 
 def add(commands: Any) -> None:
@@ -21,13 +25,27 @@ def add(commands: Any) -> None:
     train.add_argument("--config", choices=sorted(CONFIGS), default="any-array")
     train.add_argument("--run", type=Path, required=True, help="folder of the run")
     train.add_argument("--init", type=Path, help="run to start from, where the config wants one")
+    train.add_argument(
+        "--scratch", action="store_true", help="start from no run, where the config wants one"
+    )
+    for name, kind in (("steps", int), ("batch-size", int), ("learning-rate", float)):
+        train.add_argument(f"--{name}", type=kind, help="in the place of the configuration's")
+    train.add_argument("--seed", type=int, help="in the place of the configuration's")
+    train.add_argument(
+        "--noisy", type=float, metavar="SHARE", help="of scenes at -10 to 30 dB (the paper's 0.6)"
+    )
     add_device(train)
-    train.add_argument("--workers", type=int, default=1, help="processes that simulate scenes")
+    train.add_argument(
+        "--workers", type=int, default=1, help="processes that make scenes; 0: the training's own"
+    )
     train.add_argument("--smoke", action="store_true", help="a few steps only, to try it out")
     train.add_argument(
         "--recordings", type=Path, help="unlabelled recordings instead of simulated scenes (sscl)"
     )
     add_rooms(train, use=", where the config draws arrays")
+    train.add_argument(
+        "--singles", type=Path, metavar="DIR", help="folder of single talkers, where it adds them"
+    )
     add_corpora(train, required=False)
     train.set_defaults(run_command=_train)
 
@@ -35,38 +53,63 @@ def add(commands: Any) -> None:
 def _train(arguments: argparse.Namespace) -> None:
     from model_export.training.train import train
 
-    config = CONFIGS[arguments.config]
-    scenes = _recorded if arguments.recordings else _simulated
+    config = _configuration(arguments)
+    if arguments.recordings:
+        scenes = _recorded(arguments, config)
+    elif arguments.speech_commands is None:
+        raise ValueError("simulated scenes need speech: name its folder with --speech-commands")
+    else:
+        scenes = (_summed if config.singles else _simulated)(arguments, config)
     train(
-        smoke(config) if arguments.smoke else config,
+        config,
         arguments.run,
-        *scenes(arguments, config),
+        *scenes,
         init=arguments.init,
         workers=arguments.workers,
         device=device(arguments),
     )
 
 
-def _simulated(
+def _configuration(arguments: argparse.Namespace) -> TrainingConfig:
+    """The named configuration, with what the flags say otherwise."""
+    config = CONFIGS[arguments.config]
+    config = smoke(config) if arguments.smoke else config
+    given = {name: getattr(arguments, name) for name in OVERRIDES}
+    config = replace(config, **{name: value for name, value in given.items() if value is not None})
+    if arguments.noisy is not None:
+        config = replace(config, scenes=replace(config.scenes, noisy=arguments.noisy))
+    return replace(config, starts_from=None) if arguments.scratch else config
+
+
+def _summed(
     arguments: argparse.Namespace, config: TrainingConfig
 ) -> tuple[SceneSource, SceneSource]:
     """Scenes to train on and scenes to validate with, of other rooms and speakers."""
-    from model_export.simulation.array_rooms import ArrayRooms
+    from model_export.simulation.singles import SinglesBank
+    from model_export.training.scene_stream import ProtocolScenes, SummedScenes
+
+    assert config.array is not None
+    if arguments.singles is None:
+        raise ValueError(f"{config.name} adds single talkers: name their folder with --singles")
+    return (
+        SummedScenes(SinglesBank(arguments.singles, config.array)),
+        ProtocolScenes(config.array, words(arguments.speech_commands, "development")),
+    )
+
+
+def _simulated(
+    arguments: argparse.Namespace, config: TrainingConfig
+) -> tuple[SceneSource, SceneSource]:
+    """The same two in the rooms of a bank."""
     from model_export.simulation.room_bank import RoomBank
     from model_export.training.scene_stream import SimulatedScenes
 
-    if arguments.speech_commands is None:
-        raise ValueError("simulated scenes need speech: name its folder with --speech-commands")
-    rooms: list[RoomSource]
-    if config.array is not None:
-        rooms = [ArrayRooms(preset(config.array))] * 2
-    elif arguments.rooms is not None:
-        rooms = [RoomBank(arguments.rooms), RoomBank(arguments.rooms, validation=True)]
-    else:
+    if arguments.rooms is None:
         raise ValueError(f"{config.name} draws from a room bank: name its folder with --rooms")
+    bank, held = RoomBank(arguments.rooms), RoomBank(arguments.rooms, validation=True)
     return (
-        SimulatedScenes(rooms[0], sources(arguments, "train"), noises(arguments)),
-        SimulatedScenes(rooms[1], sources(arguments, "development"), noises(arguments)),
+        SimulatedScenes(bank, sources(arguments, "train"), noises(arguments)),
+        SimulatedScenes(held, sources(arguments, "development"), noises(arguments)),
     )
 
 

@@ -1,1 +1,1 @@
-"""Corpora that a user has on disk, in the layout in which they unpack."""
+"""Corpora on a user's disk, in the layout that they unpack to."""

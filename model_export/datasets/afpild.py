@@ -14,6 +14,7 @@ import numpy as np
 from model_export import SAMPLE_RATE
 from model_export.datasets.audio import check_audio, read_audio
 from model_export.datasets.fault import (
+    REMEDY,
     Count,
     DatasetError,
     Fault,
@@ -28,15 +29,16 @@ from service.doa.types import FloatArray, IntArray
 Variant = Literal["cloth", "shoe", "rd"]
 
 ARRAY = preset("respeaker-usb-4mic-v2")
-"""As the NeuralMUSIC paper's code has it; the data set does not say"""
+"""Array assumed by the NeuralMUSIC paper's code; the data set does not name it"""
 CHANNELS = 4
 SUBJECTS = range(1, 41)
 SESSIONS = range(1, 5)
-"""Coat, anticlockwise; no coat, clockwise; other shoes, anticlockwise; lab coat, clockwise"""
+"""Sessions: coat, anticlockwise; no coat, clockwise; other shoes, anticlockwise; lab coat,
+clockwise"""
 TRAIN_SESSIONS = {"cloth": (1, 4), "shoe": (1, 2)}
 EVENTS = 62_174
 FIRST, UNUSED = 5, 3
-"""As in the authors' code: silence before row 5, nothing after the last three rows"""
+"""First used row and number of unused last rows, as in the authors' code"""
 
 
 class AFPILD:
@@ -50,8 +52,8 @@ class AFPILD:
         ``"cloth"`` trains on sessions 1 and 4 and tests on 2 and 3, ``"shoe"`` on 1 and 2, and 3
         and 4; ``"rd"`` takes half of every session's footsteps at random, always the same.
     seconds : float, optional
-        Audio around each footstep's middle, where the session has it; by default from its
-        boundary to the next, some 0.6 s.
+        Length of the audio around each footstep's middle, kept inside the session; by default the
+        audio lasts from the footstep's boundary to the next, some 0.6 s.
     """
 
     name: ClassVar[str] = "afpild"
@@ -115,7 +117,7 @@ class AFPILD:
         return [session for session in SESSIONS if (session in train) == (split == "train")]
 
     def _chosen(self, split: str, subject: int, session: int, events: int) -> IntArray:
-        """The events of one of the split's sessions that are in the split, ascending."""
+        """Events of one session that belong to the split, ascending."""
         if self.variant != "rd":
             return np.arange(events)
         order = np.random.default_rng([subject, session]).permutation(events)
@@ -176,12 +178,12 @@ def _events(path: Path) -> tuple[IntArray, FloatArray]:
         raise DatasetError(
             "annotation",
             path,
-            f"has {len(rows)} rows, a session has hundreds: unpack or download the file again",
+            f"has {len(rows)} rows, a session has hundreds: {REMEDY}",
         )
     used = rows[FIRST : len(rows) - UNUSED + 1]
     if not np.isfinite(used).all() or (np.diff(used[:, 0]) <= 0).any() or used[0, 0] < 0:
         raise DatasetError(
-            "annotation", path, "sample_loc does not ascend, or a value is no number"
+            "annotation", path, f"sample_loc does not ascend, or a value is no number: {REMEDY}"
         )
     return used[:, 0].astype(np.int64), np.arctan2(used[:-1, 2], used[:-1, 1])
 
@@ -197,5 +199,5 @@ def _check_boundaries(path: Path, boundaries: IntArray, samples: int) -> None:
             "audio",
             path,
             f"lasts {samples / SAMPLE_RATE:.1f} s, but footsteps are annotated until "
-            f"{boundaries[-1] / SAMPLE_RATE:.1f} s: unpack or download the file again",
+            f"{boundaries[-1] / SAMPLE_RATE:.1f} s: {REMEDY}",
         )

@@ -8,12 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from model_export import SAMPLE_RATE
-from model_export.datasets.fault import DatasetError, require
+from model_export.datasets.fault import REMEDY, DatasetError, require
+from neuralmusic.errors import DoaError
 from service.audio.recording import Recording
 from service.doa.types import FloatArray
-from service.errors import DoaError
-
-REMEDY = "unpack or download the file again"
 
 
 def read_audio(path: Path, channels: int, take: Sequence[int] | None = None) -> FloatArray:
@@ -22,9 +20,9 @@ def read_audio(path: Path, channels: int, take: Sequence[int] | None = None) -> 
     Parameters
     ----------
     channels : int
-        How many the file must have.
+        Number of channels that the file must have.
     take : sequence of int, optional
-        Channels wanted, from 0; by default all.
+        Channels to read, counted from 0; by default all.
 
     Returns
     -------
@@ -46,10 +44,13 @@ def read_audio(path: Path, channels: int, take: Sequence[int] | None = None) -> 
 
 
 def check_audio(path: Path, channels: int, sample_rate: int | None = None) -> float:
-    """Seconds of audio by the header, or DatasetError unless it promises such audio.
+    """Check a file by its header, without decoding samples, and return its duration in seconds.
 
-    The file must be as long as it says, but no sample is decoded. Without ``sample_rate`` any is
-    right.
+    Raises
+    ------
+    DatasetError
+        If the file is missing, shorter than its header says, or has another number of channels or
+        another sample rate than ``sample_rate`` (None: any rate).
     """
     require(path, REMEDY)
     try:
@@ -62,7 +63,7 @@ def check_audio(path: Path, channels: int, sample_rate: int | None = None) -> fl
         raise DatasetError(
             "sample_rate",
             path,
-            f"has {rate} Hz, expected {sample_rate} Hz: somebody resampled it, {REMEDY}",
+            f"has {rate} Hz, expected {sample_rate} Hz: it was resampled, {REMEDY}",
         )
     return duration
 

@@ -36,28 +36,28 @@ ANNOTATED = (
     *("seq12-1p-0100", "seq18-2p-0101", "seq19-2p-0101", "seq24-2p-0111", "seq25-2p-0111"),
     *("seq30-2p-1101", "seq45-3p-1111"),
 )
-"""Of 43 recordings those whose mouths are published in three dimensions, as far as is known"""
+"""Recordings, among 43, whose mouths are known to be published in three dimensions"""
 MICROPHONES = 8
 CENTRES = {"1": (0.0, 0.4, 0.0), "2": (0.0, -0.4, 0.0)}
-"""Metres, in the frame of the annotations"""
+"""Centres of the rings in metres, in the frame of the annotations"""
 AUDIO_START = 10.0
-"""Seconds: audio starts at timecode 00:00:10.00, and annotations are in timecode"""
+"""Seconds of timecode at which audio starts; annotations are in timecode"""
 TIME, POSITION = 0, slice(2, 5)
-"""Columns of a .3dmouthgt file; nobody needs the second"""
+"""Columns of a .3dmouthgt file; the second is unused"""
 MAX_LENGTH_DIFFERENCE = 0.1
-"""Seconds between the channels of one recording; more is a file that was cut off"""
+"""Seconds by which channels of one recording may differ; a larger gap is a truncated file"""
 
 
 class AV163:
-    """Every annotated sequence is one item; a direction is known wherever a mouth is.
+    """Every annotated sequence is one item; a direction is known while a mouth is annotated.
 
-    Nothing says when somebody is silent, so windows in pauses have directions, too.
+    Silence is not annotated, so windows in pauses have directions, too.
 
     Parameters
     ----------
     arrays : str
         ``"both"`` is the paper's fusion: 16 microphones, directions from midway between the rings.
-        ``"1"`` and ``"2"`` are one ring and directions from its own centre, which is the fairer
+        ``"1"`` and ``"2"`` are one ring and directions from its own centre. One ring is the fairer
         task: the speakers are 1 to 3 m away, and both rings together are 1 m wide.
     """
 
@@ -159,7 +159,7 @@ def _sequences(folder: Path) -> list[Path]:
 
 
 def _persons(sequence: Path) -> int:
-    """How many there are, by the sequence's name."""
+    """Number of persons, from the sequence's name."""
     match = SEQUENCE.fullmatch(sequence.name)
     return int(match[1]) if match else 0
 
@@ -182,7 +182,7 @@ def _mouths(sequence: Path) -> list[Path]:
 
 
 def _below(sequence: Path, name: str) -> Path:
-    """The file in the sequence's folder, or in one below it where mirrors keep kinds apart."""
+    """The file in the sequence's folder, or in a subfolder as some mirrors have it."""
     path = sequence / name
     return path if path.exists() else next(iter(sorted(sequence.rglob(name))), path)
 
@@ -203,7 +203,7 @@ def _read_channels(paths: Sequence[Path]) -> FloatArray:
 
 
 def _duration(path: Path) -> float:
-    """Seconds; no bound for audio that cannot be read, which is a fault of its own."""
+    """Seconds of audio; infinite if it cannot be read, which is a fault of its own."""
     try:
         return check_audio(path, 1, SAMPLE_RATE)
     except DatasetError:
@@ -211,9 +211,9 @@ def _duration(path: Path) -> float:
 
 
 def _mouth(path: Path, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Times (K,) in audio of this duration, seconds, and positions (K, 3) in metres."""
+    """Times (K,) in seconds of the audio and positions (K, 3) in metres."""
     rows = read_table(path, POSITION.stop)
-    # Rounded, so that the same camera frame is the same time for everybody.
+    # Rounded, so that one camera frame has the same time for every person.
     times = sorted_times(path, (rows[:, TIME] - AUDIO_START).round(6))
     if times[-1] < 0 or times[0] > duration:
         raise DatasetError(
@@ -226,7 +226,7 @@ def _mouth(path: Path, duration: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _directions(sequence: Path, centre: FloatArray, duration: float) -> Directions:
-    """Of all persons at every time at which there is a row for one of them."""
+    """Directions of all persons, at every time that has a row for one of them."""
     people = []
     for person in range(1, _persons(sequence) + 1):
         times, mouth = _mouth(_mouth_file(sequence, person), duration)

@@ -1,4 +1,4 @@
-"""The data sets by name, and which of them a folder holds."""
+"""The data sets by name, and recognition of a folder's data set."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DATASETS: Mapping[str, type[Dataset]] = MappingProxyType(
 
 
 def named(name: str) -> type[Dataset]:
-    """The data set of a name.
+    """The data set with this name.
 
     Raises
     ------
@@ -27,7 +27,7 @@ def named(name: str) -> type[Dataset]:
         If there is none.
     """
     if name not in DATASETS:
-        raise ValueError(f"no data set is named {name!r}; there are {', '.join(DATASETS)}")
+        raise ValueError(f"no data set is named {name!r}; the data sets are {', '.join(DATASETS)}")
     return DATASETS[name]
 
 
@@ -37,7 +37,7 @@ def recognise(folder: Path) -> type[Dataset]:
     Raises
     ------
     ValueError
-        If it looks like none of them or like several.
+        If the folder looks like none of them or like several.
     """
     found = [dataset for dataset in DATASETS.values() if dataset.recognises(folder)]
     if len(found) == 1:

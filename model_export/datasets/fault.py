@@ -1,4 +1,4 @@
-"""What is wrong with a data set on disk: found by ``verify``, raised by the loaders."""
+"""Faults of a data set on disk: found by ``verify``, raised by the loaders."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import Literal
 
 FaultCode = Literal["missing", "count", "audio", "channels", "sample_rate", "annotation"]
-"""A file or folder is not there; fewer or more files than published; audio that cannot be decoded;
-another number of channels, another rate; an annotation that is empty, malformed or impossible"""
+"""Kinds of faults, in this order: a file or folder is missing; fewer or more files than published;
+audio cannot be decoded; another number of channels; another sample rate; an annotation is empty,
+malformed or impossible"""
+
+REMEDY = "unpack or download the file again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,14 +22,14 @@ class Fault:
     code: FaultCode
     path: Path
     detail: str
-    """What is wrong and what to do"""
+    """The problem and its remedy"""
 
     def __str__(self) -> str:
         return f"{self.path}: {self.detail}"
 
 
 class DatasetError(ValueError):
-    """A data set that cannot be read, with the fault that says why."""
+    """A data set cannot be read; ``fault`` says why."""
 
     def __init__(self, code: FaultCode, path: Path, detail: str) -> None:
         self.fault = Fault(code, path, detail)
@@ -35,15 +38,14 @@ class DatasetError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Count:
-    """How many there are of something that the data set's authors have counted."""
+    """A number of things on disk, beside the number that the data set's authors published."""
 
     what: str
     found: int
     published: tuple[int, ...]
-    """What a whole download has: several numbers where there are several versions, none where
-    nobody has written it down"""
+    """Numbers in a whole download, one per version of the data set; empty if none is published"""
     exact: bool = True
-    """False where the published number is rounded, or counted in a way that is not written down"""
+    """False if the published number is rounded, or its way of counting is unknown"""
 
     @property
     def complete(self) -> bool:

@@ -16,18 +16,18 @@ from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 
 MAX_GAP = 0.5
-"""Seconds; annotations further apart say nothing of what is between them. Cameras and trackers give
-25 to 120 a second"""
+"""Longest gap in seconds over which annotations are interpolated; cameras and trackers give 25 to
+120 a second"""
 
 
 @dataclass(frozen=True, slots=True)
 class Directions:
-    """Where the sources are at K times; one time alone holds for ever."""
+    """Directions of M sources at K times; with K = 1 they are constant."""
 
     times: FloatArray
     """(K,) seconds from the audio's first sample, ascending"""
     azimuth: FloatArray
-    """(K, M) radians, any wrap; NaN where a source is silent or where it is is not known"""
+    """(K, M) radians, any wrap; NaN where a source is silent or its direction unknown"""
 
     def __post_init__(self) -> None:
         if self.azimuth.ndim != 2 or self.times.shape != self.azimuth.shape[:1]:
@@ -40,14 +40,14 @@ class Directions:
 
     @classmethod
     def constant(cls, azimuth: ArrayLike) -> Self:
-        """Sources (M,) that stay where they are and sound throughout."""
+        """Directions (M,), in radians, of sources that stand still and sound throughout."""
         return cls(np.zeros(1), np.atleast_1d(np.asarray(azimuth, dtype=np.float64))[None])
 
     def at(self, times: FloatArray) -> FloatArray:
-        """Azimuths (Q, M) in [0, 2 pi) at times (Q,): on the shorter arc between annotations.
+        """Azimuths (Q, M) in [0, 2 pi) at times (Q,), interpolated along the shorter arc.
 
-        NaN before the first annotation, after the last, between two that are more than ``MAX_GAP``
-        apart, and next to one that is NaN.
+        They are NaN before the first annotation, after the last, between two that are more than
+        ``MAX_GAP`` apart, and next to one that is NaN.
         """
         if len(self.times) == 1:
             return np.repeat(self.azimuth, len(times), axis=0) % (2 * np.pi)
@@ -57,7 +57,7 @@ class Directions:
         share = np.clip((times - before) / np.where(gap > 0, gap, 1.0), 0.0, 1.0)[:, None]
         start, end = self.azimuth[right - 1], self.azimuth[right]
         arc = (end - start + np.pi) % (2 * np.pi) - np.pi
-        # At an annotation its own value holds, whatever its neighbour is.
+        # At an annotation its own value holds, even if its neighbour is NaN.
         turn = np.where(share > 0, share * arc, 0.0)
         azimuth = np.where(share == 1, end, start + turn) % (2 * np.pi)
         inside = (times >= self.times[0]) & (times <= self.times[-1])
@@ -71,12 +71,12 @@ class DatasetItem:
     """One recording, or one simulated scene."""
 
     audio: FloatArray
-    """(N, T) float32 at 16 kHz, channel n being microphone n"""
+    """(N, T) float32 at 16 kHz; channel n is microphone n"""
     array: MicrophoneArray
-    """In the frame that the azimuths are in"""
+    """Array, in the frame of the azimuths"""
     directions: Directions
     metadata: dict[str, Any]
-    """``dataset``, ``split``, ``sequence``, ``path``, ``licence``, and what else is known"""
+    """``dataset``, ``split``, ``sequence``, ``path``, ``licence``, and fields of the data set"""
 
     def __post_init__(self) -> None:
         if self.audio.ndim != 2 or self.audio.shape[0] != self.array.num_microphones:
@@ -86,19 +86,19 @@ class DatasetItem:
 
     @property
     def duration(self) -> float:
-        """Seconds."""
+        """Duration in seconds."""
         return self.audio.shape[1] / SAMPLE_RATE
 
     def windows(
         self, length_samples: int, hop_samples: int
     ) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Windows and the known directions at their middle.
+        """Windows and the known directions at their middles.
 
         Yields
         ------
         audio : (N, length_samples) float32
         azimuth : (M,) radians in [0, 2 pi)
-            Of the sources whose direction is known then, at least one: other windows are left out.
+            Sources whose direction is known then. Windows without any are left out.
         """
         starts = np.arange(0, self.audio.shape[1] - length_samples + 1, hop_samples)
         azimuths = self.directions.at((starts + length_samples / 2) / SAMPLE_RATE)
@@ -114,13 +114,13 @@ class Dataset(Protocol):
     name: ClassVar[str]
     licence: ClassVar[str]
     source: ClassVar[str]
-    """Who made it and where to get it"""
+    """Authors and download"""
     layout: ClassVar[str]
-    """Of the folder that it unpacks to"""
+    """Layout of the folder that it unpacks to"""
     splits: ClassVar[tuple[str, ...]]
 
     def items(self, split: str) -> Iterator[DatasetItem]:
-        """Items of one split, always in the same order; DatasetError names a file that is wrong."""
+        """Items of one split, always in the same order; DatasetError names a faulty file."""
         ...
 
     @classmethod
@@ -130,12 +130,12 @@ class Dataset(Protocol):
 
     @classmethod
     def counts(cls, folder: Path) -> list[Count]:
-        """How much of it is there."""
+        """Counts of what the folder holds."""
         ...
 
     @classmethod
     def verify(cls, folder: Path) -> list[Fault]:
-        """All that is missing or wrong; audio is checked by its header, annotations are parsed."""
+        """All faults; audio is checked by its header, annotations are parsed."""
         ...
 
 

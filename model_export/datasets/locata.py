@@ -25,28 +25,28 @@ from service.doa.array import MAX_APERTURE, MicrophoneArray
 from service.doa.types import FloatArray, IntArray
 
 ARRAYS = {"dicit": 15, "benchmark2": 12, "eigenmike": 32, "dummy": 4}
-"""Channels of every array: planar, a robot's head, a sphere, hearing aids on a dummy head"""
+"""Channels by array: planar, a robot's head, a sphere, hearing aids on a dummy head"""
 SAMPLE_RATE = 48_000
 WITHOUT_AUDIO = {("eval", 4, 4, "dicit"), ("eval", 6, 5, "dicit")}
 """Folders without audio in the challenge's first release"""
 AUDIO_FILES = {"dev": (72,), "eval": (154, 156)}
-"""The second number where those two are there as well"""
-SOURCE_REMEDY = "the challenge's first release kept eval's to itself, take the final one"
+"""Published numbers of audio files; eval has 156 where ``WITHOUT_AUDIO`` has audio"""
+SOURCE_REMEDY = "the challenge's first release has none for eval, download the final one"
 
 
 class LOCATA:
     """Every recording of one array is one item, whose sources' directions may change in time.
 
-    Azimuths are LOCATA's own: 0 to the array's front, its y axis, counter-clockwise, so that x of
-    the item's array is LOCATA's y. An array that moves (tasks 5 and 6) keeps its frame with it. A
-    direction is known where ``required_time.txt`` says that it is valid, and where the source
-    speaks if a VAD file is there; the early release has none.
+    Azimuths are LOCATA's own: 0 at the array's front, its y axis, counter-clockwise; x of the
+    item's array is LOCATA's y. The frame moves with the array (tasks 5 and 6). A direction is known
+    where ``required_time.txt`` says that it is valid and, if there is a VAD file, where the source
+    speaks; the early release has no VAD files.
 
     Parameters
     ----------
     array : str
-        One of ``ARRAYS``. Microphones of ``dicit`` further than 1 m from its reference point are
-        left out: the whole is 2.2 m wide.
+        A name in ``ARRAYS``. Microphones of ``dicit``, which is 2.2 m wide, are left out if they
+        are further than 1 m from its reference point.
     tasks : sequence of int
         1 and 2 are static, 3 and 4 have moving talkers, in 5 and 6 the array moves, too; 2, 4 and 6
         have several sources.
@@ -140,7 +140,7 @@ class LOCATA:
 
 
 def _recordings(folder: Path, split: str) -> list[Path]:
-    """Folders of one recording by one array, by task and number."""
+    """Folders with one array's recording, in the order of task and number."""
     return sorted(
         (
             path
@@ -175,7 +175,7 @@ def _sources(recording: Path) -> list[Path]:
 
 
 def _near_microphones(name: str, pose: ArrayPose) -> tuple[IntArray, MicrophoneArray]:
-    """Channels of the microphones that fit into one array, and these."""
+    """Channels of the microphones near the reference point, and the array of these."""
     distance = np.linalg.norm(pose.microphones, axis=1)
     channels = np.flatnonzero(distance <= MAX_APERTURE / 2)
     return channels, MicrophoneArray(
@@ -184,7 +184,7 @@ def _near_microphones(name: str, pose: ArrayPose) -> tuple[IntArray, MicrophoneA
 
 
 def _annotations(recording: Path) -> tuple[ArrayPose, Directions]:
-    """Where the array is, and the directions of all sources at the same times."""
+    """The array's pose, and the directions of all sources at its times."""
     name = recording.name
     pose = read_array_pose(recording / f"position_array_{name}.txt", ARRAYS[name])
     times: FloatArray = pose.times - audio_start(recording / f"audio_array_timestamps_{name}.txt")
@@ -192,7 +192,7 @@ def _annotations(recording: Path) -> tuple[ArrayPose, Directions]:
     azimuth = np.stack([pose.azimuth(*read_source_position(path)) for path in sources], axis=1)
     path = recording / "required_time.txt"
     valid = read_valid(path)
-    # The official evaluation pairs the rows of the files, too; times differ by rounding.
+    # Rows are paired by number, as in the official evaluation; their times differ by rounding.
     if len(valid) != len(azimuth):
         raise DatasetError(
             "annotation",

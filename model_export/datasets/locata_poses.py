@@ -1,4 +1,4 @@
-"""LOCATA's text files: when the audio begins, where the array and the sources are, who speaks."""
+"""LOCATA's text files: start of the audio, poses of the array, positions and speech of sources."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ CLOCK = ("year", "month", "day", "hour", "minute", "second")
 POSITION = ("x", "y", "z")
 ROTATION = tuple(f"rotation_{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3))
 FRONT = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""From LOCATA's axes (x right, y front) to ours (x front, y left)"""
+"""Rotation from LOCATA's axes (x right, y front) to ours (x front, y left)"""
 MAX_TIME_DIFFERENCE = 0.05
-"""Seconds between a row of the array and the source's that goes with it: six tracker frames"""
+"""Seconds between a row of the array and its nearest row of a source: six tracker frames"""
 ORTHOGONAL = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class ArrayPose:
-    """Where an array is at K times, and its microphones in its own frame."""
+    """Pose of an array at K times, and its microphones in its own frame."""
 
     times: FloatArray
     """(K,) seconds since the year 1"""
     position: FloatArray
     """(K, 3) metres in the room"""
     rotation: FloatArray
-    """(K, 3, 3) from LOCATA's array frame to the room's"""
+    """(K, 3, 3) rotation from LOCATA's array frame to the room's"""
     microphones: FloatArray
     """(N, 3) metres in the array's frame, x front"""
 
     def azimuth(self, times: FloatArray, position: FloatArray) -> FloatArray:
-        """Radians (K,) from the array to a source with positions (Q, 3) at its own times (Q,).
+        """Azimuths (K,) in radians of a source with positions (Q, 3) at its own times (Q,).
 
-        NaN where the source has no row near in time, or a coordinate is not known.
+        They are NaN where the source has no row near in time, or a coordinate is unknown.
         """
         row = _nearest(times, self.times)
         offset = np.einsum("kij,ki->kj", self.rotation, position[row] - self.position) @ FRONT.T
@@ -49,7 +49,7 @@ class ArrayPose:
 
 
 def read_array_pose(path: Path, channels: int) -> ArrayPose:
-    """``position_array_<array>.txt``; DatasetError if it is malformed or has no valid row."""
+    """Read ``position_array_<array>.txt``; DatasetError if malformed or without a valid row."""
     names = [f"mic{number}_{axis}" for number in range(1, channels + 1) for axis in POSITION]
     rows = read_table(path, (*CLOCK, *POSITION, *ROTATION, *names), delimiter="\t")
     clock, position, rotation, microphones = np.split(rows, np.cumsum([6, 3, 9]), axis=1)
@@ -60,8 +60,8 @@ def read_array_pose(path: Path, channels: int) -> ArrayPose:
         raise DatasetError("annotation", path, "holds no row without NaN: unpack it again")
     first = whole[0]
     if np.abs(rotation[first] @ rotation[first].T - np.eye(3)).max() > ORTHOGONAL:
-        raise DatasetError("annotation", path, "its rotation is none: unpack it again")
-    # The array is rigid: one row tells where its microphones are.
+        raise DatasetError("annotation", path, "its rotation is not orthogonal: unpack it again")
+    # The array is rigid: one row gives all microphone positions.
     own = (microphones[first] - position[first]) @ rotation[first] @ FRONT.T
     return ArrayPose(_seconds(path, clock), position, rotation, own)
 
@@ -73,7 +73,7 @@ def read_source_position(path: Path) -> tuple[FloatArray, FloatArray]:
 
 
 def read_valid(path: Path) -> BoolArray:
-    """``required_time.txt``: at which rows (K,) of the positions the tracker is to be trusted."""
+    """``required_time.txt``: whether each row (K,) of the positions is valid."""
     return _flags(path, "valid_flag")
 
 
@@ -98,7 +98,7 @@ def _flags(path: Path, column: str) -> BoolArray:
 
 
 def _nearest(times: FloatArray, wanted: FloatArray) -> IntArray:
-    """The row of times (Q,) nearest to every wanted one (K,)."""
+    """Index (K,) of the time (Q,) that is nearest to every wanted time (K,)."""
     right = np.clip(np.searchsorted(times, wanted), 1, max(len(times) - 1, 1))
     right = np.minimum(right, len(times) - 1)
     left = np.maximum(right - 1, 0)
@@ -107,10 +107,10 @@ def _nearest(times: FloatArray, wanted: FloatArray) -> IntArray:
 
 
 def _seconds(path: Path, clock: FloatArray) -> FloatArray:
-    """Seconds (K,) of calendar times (K, 6); exact to 8 microseconds."""
+    """Seconds (K,) since the year 1 of calendar times (K, 6), exact to 8 microseconds."""
     try:
         days = [date(*map(int, row[:3])).toordinal() for row in clock]
     except (ValueError, OverflowError):
-        raise DatasetError("annotation", path, "a date is none: unpack it again") from None
+        raise DatasetError("annotation", path, "a date is invalid: unpack it again") from None
     seconds = np.array(days) * 86400.0 + clock[:, 3:] @ np.array([3600.0, 60.0, 1.0])
     return sorted_times(path, seconds)

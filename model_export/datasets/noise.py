@@ -1,8 +1,8 @@
-"""Recorded noise and sound events: ESC-10 (CC BY 3.0) and long recordings of one's own.
+"""Recorded noise and sound events: ESC-10 (CC BY 3.0) and one's own long recordings.
 
 ESC-10 clips are ``<Class>_<k>.flac`` or ``.wav``; every other file of the folder counts as steady
-noise. Steady classes are heard as noise, from all around or as a machine in the room; events such
-as barks are sources of their own, cut to where they sound.
+noise. Steady classes become diffuse noise or a machine in the room; events such as barks become
+sources, cut to their active frames.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from service.doa.types import FloatArray
 
 EVENTS = ("Baby_cry", "Dog_bark", "Person_sneeze", "Rooster")
 UNSTEADY = ("Clock_tick", "Fire_crackling", "Chainsaw", "doing_the_dishes")
-"""Neither steady nor from one place for certain: left out"""
+"""Classes that are left out: neither steady nor certainly from one place"""
 ACTIVE_FRAME = 800
 ACTIVE_DB = 30.0
-"""Frames that are quieter than this below the loudest are cut out of events"""
+"""Frames of an event this far below its loudest one, or farther, are cut out"""
 
 
 def noise_recordings(folder: Path, kind: Literal["steady", "events"]) -> list[FloatArray]:
@@ -44,7 +44,7 @@ def noise_recordings(folder: Path, kind: Literal["steady", "events"]) -> list[Fl
 
 
 def active(audio: FloatArray) -> FloatArray:
-    """The frames of (T,) audio that are not much quieter than the loudest."""
+    """Audio (T,) without its frames that are ``ACTIVE_DB`` below the loudest one."""
     frames = audio[: len(audio) // ACTIVE_FRAME * ACTIVE_FRAME].reshape(-1, ACTIVE_FRAME)
     power = np.square(frames).mean(axis=1)
     kept: FloatArray = frames[power > power.max(initial=0.0) * 10 ** (-ACTIVE_DB / 10)].ravel()

@@ -1,7 +1,7 @@
-"""The angle between a data set's zero and its array's, where nobody has published it.
+"""The unpublished angle between a data set's zero and its array's.
 
 SLoClas and AFPILD annotate directions in a frame of the room and do not say how the array stood in
-it. One constant is learned from training items; choosing it on the test set would adjust the score.
+it. One constant is learned from training items; learning it on the test set would bias the score.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from service.doa.scoring import circular_error
 from service.doa.types import FloatArray
 
 Localize = Callable[[FloatArray, MicrophoneArray], float]
-"""One azimuth in radians of audio (N, T) at 16 kHz"""
+"""Estimates one azimuth in radians from audio (N, T) at 16 kHz"""
 
 
 def learn_offset(items: Iterable[DatasetItem], localize: Localize) -> float:
     """Radians in [0, 2 pi) to add to annotated azimuths so that they are in the array's frame.
 
-    The circular median of estimate less annotation, which a minority of wrong estimates leaves
-    alone. Items with more than one source, or with one that moves, are refused.
+    The offset is the circular median of estimate less annotation, which is robust to a minority of
+    wrong estimates. Items with more than one source, or with one that moves, are refused.
 
     Raises
     ------
     ValueError
-        If an item is not of the training split, or there is none.
+        If an item is not in the training split, or there are no items.
     """
     differences = []
     for item in items:
@@ -46,10 +46,10 @@ def learn_offset(items: Iterable[DatasetItem], localize: Localize) -> float:
 
 
 def circular_median(angles: FloatArray) -> float:
-    """The angle in [0, 2 pi) with the least mean distance on the circle to angles (K,) in radians.
+    """The angle in [0, 2 pi) with the least mean distance on the circle to angles (K,), radians.
 
-    The best of a grid of one degree decides where the circle is cut open; the ordinary median is
-    right from there.
+    The best point of a grid of one degree decides where the circle is cut open; the ordinary median
+    of the unwrapped angles is then the circular one.
     """
     grid = np.deg2rad(np.arange(360))
     nearest = grid[np.argmin([circular_error(angles, centre).mean() for centre in grid])]

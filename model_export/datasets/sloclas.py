@@ -23,11 +23,11 @@ DIRECTIONS = 72
 CHANNELS = 4
 TRAIN_SHARE = 0.8
 AZIMUTH = re.compile(r"class\d+_(\d+)")
-"""In the name of a sequence's folder, degrees"""
+"""Pattern of a sequence's folder name, with the direction in degrees"""
 
 ARRAY = MicrophoneArray(
     "sloclas",
-    # The NeuralMUSIC paper's code takes them in the order 135, 45, 315, 225 degrees.
+    # The NeuralMUSIC paper's code orders them as 135, 45, 315, 225 degrees.
     preset("respeaker-usb-4mic-v2").positions[[1, 0, 3, 2]],
     "the ReSpeaker square, in the order of the NeuralMUSIC paper's code; not published with the "
     "data",
@@ -37,8 +37,8 @@ ARRAY = MicrophoneArray(
 class SLoClas:
     """Every segment is one item with one constant direction, a multiple of 5 degrees plus 1.
 
-    The first four fifths of each sequence's segments by name train, the rest test. The annotated
-    zero is not the array's: see ``offset``.
+    In the order of names, the first four fifths of each sequence's segments train, the rest test.
+    The annotated zero is not the array's: see ``offset``.
     """
 
     name: ClassVar[str] = "sloclas"
@@ -131,7 +131,7 @@ def _sequences(folder: Path) -> dict[Path, list[Path]]:
 
 
 def _directions(sequences: Iterable[Path]) -> dict[Path, set[int]]:
-    """The directions that each class sounds from, in degrees."""
+    """Directions of each class, in degrees."""
     directions: dict[Path, set[int]] = {}
     for sequence in sequences:
         found = directions.setdefault(sequence.parent, set())
@@ -147,7 +147,7 @@ def _degrees(sequence: Path) -> int:
         raise DatasetError(
             "annotation",
             sequence,
-            "the folder's name tells no direction from 1 to 360 as class<k>_<degrees>: keep the "
+            "the folder's name has no direction from 1 to 360 as class<k>_<degrees>: keep the "
             "names of the download",
         )
     return int(match[1])

@@ -22,7 +22,7 @@ from service.doa.types import FloatArray
 
 Split = Literal["train", "development", "heldout"]
 DEVELOPMENT_SHARE = 0.05
-"""Share of the training speakers that choose checkpoints; the held-out ones only ever score"""
+"""Share of the training speakers that is kept for choosing checkpoints and tuning"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +36,8 @@ class Clip:
 def speech_commands(folder: Path, split: Split) -> list[Clip]:
     """Clips of one split; no speaker is in two splits.
 
-    ``heldout`` are the speakers of ``validation_list.txt`` and ``testing_list.txt``; of the others
-    a share chosen by a hash of the name is ``development`` and the rest ``train``.
+    ``heldout`` has the speakers of ``validation_list.txt`` and ``testing_list.txt``, only for
+    scores. A hash of the name divides the others into ``development`` and ``train``.
     """
     listed = {
         Path(line).stem
@@ -74,7 +74,7 @@ def librispeech(folder: Path, split: Split) -> list[Clip]:
 
 
 def load(clips: Sequence[Clip]) -> list[FloatArray]:
-    """All clips as float32 mono audio of unit peak, silence dropped, in the given order."""
+    """All clips in order, as float32 mono audio of unit peak; silent clips are left out."""
     audio = []
     for clip in clips:
         samples, rate = soundfile.read(clip.path, dtype="float32")

@@ -25,23 +25,23 @@ SPLITS: dict[str, Split] = {
 }
 FILES = (64_727, 105_829)
 WORDS = (30, 35)
-"""Versions 0.01 and 0.02"""
+"""Numbers of words in versions 0.01 and 0.02, as in ``FILES``"""
 PAPER = SceneProtocol(orders=(0, 4))
-"""The paper's 7 x 7 x 3 m, image orders 0 to 4, its ReSpeaker square, 30 dB"""
+"""The paper's room of 7 x 7 x 3 m, image orders 0 to 4, its ReSpeaker square, 30 dB"""
 
 
 class SpeechCommandsRooms:
     """Scenes in the paper's room; a scene is simulated when it is iterated.
 
-    Other than in the paper's code, no speaker is in two splits, background noise is no speech,
-    every source has a distance of its own and two sources are at least ten degrees apart.
+    Unlike in the paper's code, no speaker is in two splits, background noise is not speech, every
+    source has a distance of its own and two sources are at least ten degrees apart.
 
     Parameters
     ----------
     folder : Path
-        Of the corpus, with its two lists.
+        Folder of the corpus, with its two lists.
     scenes : int
-        Items of every split; the paper trains on 36,000 and tests with 9,000 or 14,400.
+        Number of items in every split; the paper trains on 36,000 and tests on 9,000 or 14,400.
     """
 
     name: ClassVar[str] = "speech-commands"
@@ -125,7 +125,7 @@ class _Speech(Sequence[FloatArray]):
         return self.audible(index)[1]
 
     def audible(self, index: int) -> tuple[Clip, FloatArray]:
-        """The clip of this index, or the next that holds sound: a few of the corpus hold none."""
+        """The clip of this index and its audio, or the next clip if it is silent, as a few are."""
         for clip in chain(self.clips[index:], self.clips[:index]):
             if audio := load([clip]):
                 return clip, audio[0]

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from model_export.datasets.fault import DatasetError, require
+from model_export.datasets.fault import REMEDY, DatasetError, require
 from service.doa.types import FloatArray, IntArray
 
 COMMENTS = ("#", "%")
-REMEDY = "unpack or download the file again"
 
 
 def read_table(
@@ -22,22 +21,22 @@ def read_table(
     delimiter: str | None = None,
     max_rows: int | None = None,
 ) -> FloatArray:
-    """Numbers of a text file.
+    """Read the numbers of a text file.
 
     Parameters
     ----------
     columns : names or int
-        Columns to take by their names in the first line, or how many there must be at least in a
-        file without a header.
+        Names, in the first line, of the columns to read; or, for a file without a header, the
+        number of columns to read.
     delimiter : str, optional
-        By default any white space.
+        Separator of columns; by default any white space.
     max_rows : int, optional
-        Stop after so many lines; by default at the end.
+        Number of lines to read; by default all.
 
     Returns
     -------
     rows : (K, C) float64
-        At least one; NaN where the file says NaN.
+        One row or more; NaN where the file says NaN.
 
     Raises
     ------
@@ -68,7 +67,7 @@ def read_table(
 
 
 def sorted_times(path: Path, times: FloatArray) -> FloatArray:
-    """Seconds (K,) as they are, or DatasetError where they are not finite or run backwards."""
+    """The times (K,) in seconds; DatasetError if one is not finite or they run backwards."""
     if not np.isfinite(times).all():
         raise DatasetError("annotation", path, f"a time is no number: {REMEDY}")
     backwards: IntArray = np.flatnonzero(np.diff(times) < 0)
@@ -94,7 +93,7 @@ def _places(path: Path, header: str, columns: Sequence[str], delimiter: str | No
 def _fault(
     path: Path, rows: Sequence[tuple[int, str]], wanted: Sequence[int], delimiter: str | None
 ) -> DatasetError:
-    """What the parser does not say: the first line that is wrong, and how."""
+    """The first line that is wrong and its problem, which the parser does not name."""
     for number, line in rows:
         fields = line.strip().split(delimiter)
         if len(fields) <= max(wanted):

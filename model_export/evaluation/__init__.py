@@ -1,1 +1,1 @@
-"""Scores of bundles and methods, and the documents that tell them."""
+"""Scores of bundles and methods, and the documents that report them."""

@@ -1,7 +1,7 @@
-"""The bars: what the embedded model is held to, in numbers, and whether a run meets them.
+"""The bars: bounds on the embedded model's scores, and whether a run meets them.
 
-A bar names cells and a score, and bounds the mean over the cells, or its share of NormMUSIC's,
-or both. The paper's figures stand beside those that are derived from it.
+A bar bounds the mean of one score over its cells, as a number, as a share of NormMUSIC's mean, or
+both. The paper's figure stands beside it where the paper has one.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from model_export.evaluation.methods import PEER
 from model_export.simulation.arrays import TEST_ARRAYS
 
 JUDGED = "any-array"
-"""The bundle that the service answers with unless a request names another"""
+"""Name of the bundle that the service uses unless a request names another"""
 
 Scores = Mapping[str, Mapping[str, Mapping[str, float]]]
-"""By cell, method and score, as ``Results.cells`` has them"""
+"""Values by cell, method and score, as in ``Results.cells``"""
 Relation = Literal["at most", "at least", "under"]
 RELATIONS: Mapping[Relation, Callable[[float, float], bool]] = {
     "at most": operator.le,
@@ -36,7 +36,7 @@ RELATIONS: Mapping[Relation, Callable[[float, float], bool]] = {
     "under": operator.lt,
 }
 UNITS = {"maae_deg": "°", "false_sources_per_minute": " a minute"}
-"""Of scores that are no shares"""
+"""Units of the scores that are not shares"""
 WORDS = {
     "maae_deg": "error",
     "count_accuracy": "count right",
@@ -55,16 +55,16 @@ class Bar:
     cells: tuple[str, ...]
     score: str = "maae_deg"
     limit: tuple[Relation, float] | None = None
-    """On the mean over the cells"""
+    """Bound on the mean over the cells"""
     share: float | None = None
-    """At most this times NormMUSIC's mean over the cells"""
+    """Largest allowed ratio to NormMUSIC's mean over the cells"""
     paper: float | None = None
     """The paper's figure, where there is one"""
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """A bar and what a run has to say to it; None where the run lacks a cell or a method."""
+    """A bar and a run's scores for it; None where the run lacks a cell or a method."""
 
     bar: Bar
     ours: float | None
@@ -73,7 +73,7 @@ class Verdict:
 
 
 def judge(bar: Bar, scores: Scores, model: str = JUDGED) -> Verdict:
-    """Hold one bar against a run's scores."""
+    """Compare a run's scores with one bar."""
     ours, peer = (_mean(bar, scores, method) for method in (model, PEER))
     if ours is None or (bar.share is not None and peer is None):
         return Verdict(bar, ours, peer, None)
@@ -87,17 +87,17 @@ def judge(bar: Bar, scores: Scores, model: str = JUDGED) -> Verdict:
 
 
 def bars_section(scores: Scores, model: str = JUDGED) -> str:
-    """What is judged, how many bars are met, and a Markdown table with a row per bar.
+    """A sentence that counts the bars that are met, and a Markdown table with a row per bar.
 
-    A part of an evaluation shows the bars of the cells that it ran.
+    Bars of cells that the evaluation did not run are left out.
     """
     ran = [bar for bar in BARS if any(cell in scores for cell in bar.cells)]
     verdicts = [judge(bar, scores, model) for bar in ran]
     met = sum(verdict.met is True for verdict in verdicts)
     lines = [
-        f"The bundle `{model}`, which answers unless a request names another, against what it is",
-        f"held to: {met} of {len(verdicts)} bars met. NormMUSIC is pyroomacoustics' as below; it",
-        "is told the number of talkers, the bundle only where the cell does not say unknown.",
+        f"The bundle `{model}`, the service's default: {met} of {len(verdicts)} bars met.",
+        "NormMUSIC is pyroomacoustics', as below. It is told the number of talkers in every cell;",
+        'the bundle is told it only where the cell does not say "count unknown".',
         "",
         f"| bar | asked | paper | {model} | NormMUSIC | share of NormMUSIC | verdict |",
         "|---|---|---|---|---|---|---|",
@@ -139,7 +139,7 @@ def _shown(score: str, value: float | None) -> str:
 
 
 def _ratio(verdict: Verdict) -> str:
-    """Ours over NormMUSIC's, where less is better in both."""
+    """Ratio of our score to NormMUSIC's, for scores where less is better."""
     bounded = verdict.bar.share is not None or verdict.bar.score == "maae_deg"
     if not bounded or verdict.ours is None or not verdict.peer:
         return "–"

@@ -1,4 +1,4 @@
-"""The cells of the evaluation: what is simulated, and if the number of talkers is known."""
+"""The cells of the evaluation: what is simulated, and whether the number of talkers is known."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from model_export.simulation.protocol import SceneProtocol
 from model_export.simulation.rooms import RoomSpec
 
 HALF_SECOND = 8000
-"""Samples"""
+"""Half a second in samples at 16 kHz"""
 
 
 def small_room(rt60: float) -> RoomSpec:
-    """5 x 4 x 2.8 m."""
+    """A room of 5 x 4 x 2.8 m; ``rt60`` in seconds."""
     return RoomSpec((5.0, 4.0, 2.8), (2.2, 1.8, 1.1), rt60=rt60)
 
 
 def living_room(rt60: float) -> RoomSpec:
-    """6 x 5 x 3 m."""
+    """A room of 6 x 5 x 3 m; ``rt60`` in seconds."""
     return RoomSpec((6.0, 5.0, 3.0), (2.8, 2.3, 1.1), rt60=rt60)
 
 
 def large_room(rt60: float) -> RoomSpec:
-    """10 x 8 x 3.5 m."""
+    """A room of 10 x 8 x 3.5 m; ``rt60`` in seconds."""
     return RoomSpec((10.0, 8.0, 3.5), (4.2, 3.6, 1.2), rt60=rt60)
 
 

@@ -1,10 +1,10 @@
-"""What a classical peak is worth: the command ``classical-confidence``.
+"""Confidence of the classical methods' peaks: the command ``classical-confidence``.
 
-The classical methods know how far a peak rises above their spectrum's mean, its contrast. A
-confidence is the chance that a source is within 10 degrees: a logistic curve in the contrast,
-fitted here on simulated windows, one for peaks that stand out and one for as many as were asked
-for. Where a spectrum has no direction, as in a pause, the contrast tells nothing, and one number
-is as good as any curve. ``service/inference/classical.py`` holds them.
+The contrast of a peak is how far it rises above its spectrum's mean. The confidence, the chance
+that a source is within 10 degrees, is a logistic curve in the contrast. The curves are fitted here
+on simulated windows: one for peaks that stand out, one for peaks reported because that many were
+asked for. In a spectrum without a direction, as in a pause, the contrast says nothing and a
+constant serves as well. ``service/inference/classical.py`` holds the curves.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from model_export.evaluation.reliability import Reliability, Reports, judged, re
 from model_export.simulation.noise import unit_power
 from model_export.simulation.protocol import SceneProtocol, simulate_scene
 from model_export.simulation.scenes import WINDOW_SAMPLES
+from neuralmusic.protocol.methods import Method
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.types import BoolArray, FloatArray
 from service.inference.classical import CHANCES, ClassicalLocalizer
 from service.inference.results import MAX_SOURCES, WindowEstimate
-from service.protocol.methods import Method
 
 ARRAYS = ("respeaker-usb-4mic-v2", "respeaker-6mic-circular", "av163-circle8")
 
@@ -42,11 +42,14 @@ class Window:
     azimuth: FloatArray
     """(M,) radians"""
     told: int
-    """How many sources are asked for: M, or in a pause those who talk before and after it"""
+    """Number of sources asked for: M, or in a pause the talkers around it"""
 
 
 def windows(speech: Sequence[FloatArray], count: int, seed: int) -> Iterator[Window]:
-    """One to three talkers at -5 to 30 dB, half of them in the paper's room; a quarter pauses."""
+    """Simulate windows of one to three talkers at -5 to 30 dB; every fourth is a pause.
+
+    Two thirds of the talkers' windows are in the paper's room, a third has RT60 0.15 to 0.7 s.
+    """
     for index in track(range(count), description="windows"):
         rng = np.random.default_rng([seed, 5, index])
         talkers, name = 1 + index % 3, ARRAYS[index // 3 % len(ARRAYS)]
@@ -70,7 +73,7 @@ def windows(speech: Sequence[FloatArray], count: int, seed: int) -> Iterator[Win
 
 
 def contrasts(estimate: WindowEstimate) -> FloatArray:
-    """(K,) of the reported sources: 1 - mean / peak."""
+    """Contrasts (K,) of the reported sources: 1 - mean / peak."""
     spectrum = estimate.spectrum
     step = 2 * np.pi / spectrum.size
     places = [round(source.azimuth / step) % spectrum.size for source in estimate.sources]
@@ -78,7 +81,7 @@ def contrasts(estimate: WindowEstimate) -> FloatArray:
 
 
 def fitted(contrast: FloatArray, right: BoolArray) -> tuple[float, float]:
-    """Slope and middle of 1 / (1 + exp(-slope (contrast - middle))), the likeliest curve."""
+    """Likeliest slope and middle of the curve 1 / (1 + exp(-slope (contrast - middle)))."""
 
     def loss(curve: FloatArray) -> float:
         logits = curve[0] * (contrast - curve[1])
@@ -89,7 +92,10 @@ def fitted(contrast: FloatArray, right: BoolArray) -> tuple[float, float]:
 
 
 def fitted_curves(speech: Sequence[FloatArray], count: int, seed: int) -> Iterator[str]:
-    """Every method's curve and how reliable it makes the confidences, on ``count`` windows."""
+    """Report every method's fitted curve and the reliability of the service's confidences.
+
+    ``count`` windows are simulated.
+    """
     found: dict[tuple[Method, str], list[tuple[FloatArray, Reports]]] = {}
     for window in windows(speech, count, seed):
         for method, chances in CHANCES.items():
@@ -115,7 +121,7 @@ def fitted_curves(speech: Sequence[FloatArray], count: int, seed: int) -> Iterat
 
 
 def _table(found: Reliability) -> str:
-    """What confidences the service gives now, and what they are worth."""
+    """Calibration of the confidences that the service gives, a line per bin."""
     lines = [f"  calibration error {found.calibration_error:.3f}"]
     lines += [
         f"  {bin_.low:.1f} to {bin_.high:.1f}: {bin_.sources:4} sources, "

@@ -1,4 +1,4 @@
-"""How the figures of evaluation and experiments look."""
+"""Style of the figures of evaluation and experiments."""
 
 from __future__ import annotations
 

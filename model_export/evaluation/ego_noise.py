@@ -1,7 +1,7 @@
-"""What a learnt noise profile gains: the command ``ego-noise``.
+"""Gain of a learnt noise profile: the command ``ego-noise``.
 
-A talker in a room beside the robot's own noise, with and without a profile of that noise that was
-learnt from another five seconds of it.
+A talker in a room is localized beside the robot's own noise, with and without a profile learnt
+from five other seconds of that noise.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from model_export.evaluation.false_sources import (
 )
 from model_export.simulation.noise import unit_power
 from model_export.simulation.protocol import SceneProtocol, SimulatedScene, simulate_scene
+from neuralmusic.protocol.methods import METHODS, Method
 from service.audio.recording import Recording
 from service.doa.presets import preset
 from service.doa.scoring import circular_error
@@ -35,12 +36,11 @@ from service.doa.whitening import NoiseCovariance, learn_noise
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, localizer_of
 from service.inference.registry import BundleRegistry
-from service.protocol.methods import METHODS, Method
 from service.recordings.localize import localize_recording
 from service.recordings.results import LocalizeOptions
 
 PROTOCOL = SceneProtocol(room=living_room(0.3), snr_db=30.0, continuous=True)
-"""The talker; the robot's noise is added to it"""
+"""Scenes of the talker, to which the robot's noise is added"""
 LEARN_SECONDS = 5.0
 NOISES: Mapping[str, Sound] = {
     "fan: tones from one place, air at every microphone": partial(own_fan, -45.0),
@@ -51,30 +51,30 @@ NOISES: Mapping[str, Sound] = {
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """How much is measured."""
+    """Size and level of a measurement."""
 
     scenes: int
     snr_db: float
-    """The talker against the noise"""
+    """Level of the talker over the robot's noise, in dB"""
     alone_s: float
-    """Seconds of the noise alone, in which every source is false"""
+    """Length of the noise alone, in which every source is false, in seconds"""
     seed: int
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """One method with or without a profile."""
+    """Scores of one method, with or without a profile."""
 
     noisy: FloatArray
     """(S,) errors in degrees of a talker beside the robot's noise"""
     quiet: FloatArray
-    """(S,) the same of the talker alone"""
+    """(S,) errors in degrees of the talker alone"""
     false_sources: float
-    """Windows and summary sources a minute of the robot's noise alone"""
+    """False sources a minute, in windows and summary, of the robot's noise alone"""
 
 
 def learnt(sound: Sound, seed: int) -> NoiseCovariance:
-    """The profile from ``LEARN_SECONDS`` of a noise at one of the array's real levels."""
+    """The profile learnt from ``LEARN_SECONDS`` of a noise with an RMS of 0.02 of full scale."""
     array = preset(ARRAY)
     rng = np.random.default_rng([seed, 0])
     audio = unit_power(sound(rng, array.positions, round(LEARN_SECONDS * SAMPLE_RATE)))
@@ -89,7 +89,7 @@ def score(
     measurement: Measurement,
     registry: BundleRegistry,
 ) -> Score:
-    """Errors on scenes with the noise and without it, and what is reported of the noise alone."""
+    """Errors on scenes with and without the noise, and false sources of the noise alone."""
     options = LocalizeOptions(preset(ARRAY), method=method, noise=noise)
     localizer = _localizer(options, registry)
     level, seed = 10 ** (-measurement.snr_db / 20), measurement.seed
@@ -186,19 +186,19 @@ generalised eigenvalue MUSIC.
 
 Measured in simulation: {scenes} talkers 0.5 to 2 m from `{array}` in a room of 6 x 5 x 3 m with an
 RT60 of 0.3 s, windows of 1.04 s, beside a noise 10 cm behind the array's centre at {snr_db:g} dB
-SNR. The profile is learnt from 5 s of that noise with other random phases, speeds and air;
-{alone_s:g} s of it alone count the false sources (in windows and in the summary). One source is
-asked for in the columns of errors. The network tells the first of these fans from a talker without
-any profile.
+SNR. The profile is learnt from 5 s of that noise with other random phases, speeds and air. False
+sources, in windows and in the summary, are counted in {alone_s:g} s of the noise alone. In the
+columns of errors one source is asked for. The network tells the first noise, the fan, from a talker
+without any profile.
 
 `python -m model_export ego-noise --speech-commands SPEECH_COMMANDS` writes this page.
 """
 
 FOOT = """## What it costs
 
-- Towards the noise nothing is heard better: a talker who stands exactly in the noise's direction is
-  attenuated as the noise is, by at most 46 dB for four microphones.
-- Where the noise is absent, the network still finds the talker. The classical methods weigh all
-  frequencies alike and lose accuracy there: name the profile while the motors run, not always.
+- A talker who stands exactly in the noise's direction is attenuated like the noise, by at most
+  46 dB for four microphones.
+- While the noise is absent, the network still finds the talker. The classical methods weigh all
+  frequencies alike and lose accuracy: name the profile only while the motors run.
 - A profile fits one place and one kind of noise. Learn it again when a fan is moved.
 """

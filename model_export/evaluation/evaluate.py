@@ -1,7 +1,7 @@
 """Score every bundle and the classical methods in one seeded run.
 
-The scenes are the same for every method: speakers that no training heard, seeds fixed by the
-cell's name and the scene's index.
+The scenes are the same for every method: their speakers were in no training, and their seeds
+depend only on the cell's name and the scene's index.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from service.doa import scoring
 from service.doa.types import FloatArray
 
 SEEDS: Mapping[Split, int] = {"heldout": 7, "development": 8}
-"""Whoever looks at development speakers while working has not seen the scenes that score"""
+"""Seeds of the scenes; work on development speakers shows no scene of the published scores"""
 
 
 @dataclass(frozen=True, slots=True)
 class AnsweredScene:
-    """What every method says of one scene."""
+    """Every method's estimates of one scene."""
 
     truth: FloatArray
     """(M,) radians"""
     found: Mapping[str, FloatArray]
-    """Radians by method"""
+    """Estimated azimuths in radians, by method"""
     voiced: bool
 
 
@@ -48,20 +48,20 @@ def evaluate(
     Parameters
     ----------
     pattern : str
-        Only what has such a name, with ``*`` as in a shell, is run.
+        Shell pattern (``*``) for the names of the cells and noises to run.
     recordings : sequence of Path
-        Steady recordings to judge false sources on, besides the synthetic ones.
+        Steady recordings without talkers to count false sources in, besides the synthetic ones.
 
     Raises
     ------
     ValueError
-        If nothing has such a name.
+        If no name matches the pattern.
     """
     cells = [cell for cell in CELLS if fnmatchcase(cell.name, pattern)]
     noises = [n for n in (*NOISES, *recorded(recordings)) if fnmatchcase(n.name, pattern)]
     reliable = fnmatchcase("reliability", pattern)
     if not (cells or noises or reliable):
-        raise ValueError(f"no cell is named like {pattern!r}; there are {', '.join(_names())}")
+        raise ValueError(f"no cell matches {pattern!r}; the cells are {', '.join(_names())}")
     results = run(workers, scenes, cells=cells)
     results.cells.update(count_false_sources(workers, noises))
     if reliable:
@@ -74,14 +74,14 @@ def _names() -> list[str]:
 
 
 def run(workers: Workers, scenes: int, *, cells: Sequence[Cell] = CELLS) -> Results:
-    """Score all methods on ``scenes`` scenes a cell, less those in which a talker is silent."""
+    """Score all methods on ``scenes`` scenes a cell, without those in which a talker is silent."""
     tasks = [(cell, index) for cell in cells for index in range(scenes)]
     answered = iter(workers.map(answer_scene, tasks, "scenes"))
     results = Results(scenes, workers.inputs.seed)
     for cell in cells:
         windows = [scene for scene in islice(answered, scenes) if scene.voiced]
         if not windows:
-            raise ValueError(f"{cell.name}: nobody speaks in any window: take more scenes")
+            raise ValueError(f"{cell.name}: nobody speaks in any window: simulate more scenes")
         truths = [scene.truth for scene in windows]
         results.cells[cell.name] = {
             name: scoring.evaluate([scene.found[name] for scene in windows], truths)
@@ -98,7 +98,7 @@ def run(workers: Workers, scenes: int, *, cells: Sequence[Cell] = CELLS) -> Resu
 
 
 def answer_scene(inputs: Inputs, task: tuple[Cell, int]) -> AnsweredScene:
-    """Simulate one scene of a cell and let every method that fits its array answer."""
+    """Simulate one scene of a cell and localize it with every method that fits its array."""
     cell, index = task
     seed = [inputs.seed, zlib.crc32(cell.name.encode()), index]
     scene = simulate_scene(cell.protocol, inputs.speech, seed)

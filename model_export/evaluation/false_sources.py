@@ -1,8 +1,8 @@
-"""False sources: what is reported of a minute in which nobody speaks.
+"""False sources: sources that are reported while nobody speaks.
 
-The recordings go through the service's own path with the options that its requests have by
-default, the number of sources unknown. A false source is one in the recording's summary; windows
-that report anything are counted as well, and the score is both together, per minute.
+The recordings go through the service's own path with a request's default options, the number of
+sources unknown. The score counts, per minute, the sources in the recording's summary and the
+windows that report any source.
 """
 
 from __future__ import annotations
@@ -43,18 +43,18 @@ from service.recordings.results import LocalizeOptions, RecordingResult
 
 ARRAY = "respeaker-usb-4mic-v2"
 LEVEL_DBFS = -35.0
-"""RMS of everything but silence"""
+"""RMS level of every noise but silence"""
 BLOCK_SAMPLES = 4 * SAMPLE_RATE
-"""A diffuse field is made in blocks, each from directions of its own"""
+"""Samples in a block of a diffuse field; each block has its own directions"""
 OWN_FAN_DISTANCE = 0.10
-"""Metres from the array's centre"""
+"""Distance of the robot's own fan from the array's centre, in metres"""
 ROOM_FAN_DISTANCE = 1.5
-"""Metres"""
+"""Distance of a fan elsewhere in the room from the array's centre, in metres"""
 SENSOR_NOISE_DB = -30.0
-"""Against the fan"""
+"""Level of the sensor noise relative to the fan"""
 
 Sound = Callable[[np.random.Generator, FloatArray, int], FloatArray]
-"""Generator, positions (N, 3) and a number of samples to audio (N, T) of any level"""
+"""Makes audio (N, T) of any level from a generator, positions (N, 3) in metres and T"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ def sensor_noise(rng: np.random.Generator, positions: FloatArray, num_samples: i
 def isotropic_noise(
     rng: np.random.Generator, positions: FloatArray, num_samples: int
 ) -> FloatArray:
-    """White noise from everywhere alike."""
+    """White noise of a diffuse field, equal from all directions."""
     return _in_blocks(partial(diffuse_noise, rng, positions), num_samples)
 
 
@@ -88,7 +88,7 @@ def own_fan(
 ) -> FloatArray:
     """The robot's own fan behind the array's centre, at a negative elevation also below it.
 
-    Its tones reach all microphones; the air that it blows brushes each of them on its own.
+    Its tones come from one place; the turbulence of its air is independent at each microphone.
     """
     tones = _behind(elevation_deg, positions, fan_tones(rng, num_samples))
     turbulence = air_noise(rng, len(positions), num_samples)
@@ -98,13 +98,13 @@ def own_fan(
 def own_motor(
     elevation_deg: float, rng: np.random.Generator, positions: FloatArray, num_samples: int
 ) -> FloatArray:
-    """A motor or an encased fan at the same place: all of its sound comes from there."""
+    """A motor or an encased fan at the same place, from which all of its sound comes."""
     sound = fan_tones(rng, num_samples) + air_noise(rng, 1, num_samples)[0]
     return _with_sensor_noise(rng, _behind(elevation_deg, positions, sound))
 
 
 def _behind(elevation_deg: float, positions: FloatArray, sound: FloatArray) -> FloatArray:
-    """A sound (T,) at the robot's own noise's place as the microphones hear it, (N, T)."""
+    """Microphone signals (N, T) of a sound (T,) at the place of the robot's own noise."""
     place = OWN_FAN_DISTANCE * unit_vectors(np.array(np.pi), np.deg2rad(elevation_deg))
     distance = np.linalg.norm(positions - place, axis=-1, keepdims=True)
     omega = 2 * np.pi * np.fft.rfftfreq(len(sound), 1 / SAMPLE_RATE)
@@ -125,7 +125,7 @@ def room_fan(rng: np.random.Generator, positions: FloatArray, num_samples: int) 
 def spread_recording(
     path: Path, rng: np.random.Generator, positions: FloatArray, num_samples: int
 ) -> FloatArray:
-    """A steady mono recording from everywhere: each wave carries it from another moment on."""
+    """A steady mono recording as a diffuse field: each plane wave starts at another moment."""
     (signal,) = load([Clip(path, speaker="")])
 
     def block(length: int) -> FloatArray:
@@ -140,7 +140,7 @@ NOISES = (
     Noise("60 s of silence", silence),
     Noise("60 s of white sensor noise", sensor_noise),
     Noise("60 s of diffuse noise", isotropic_noise),
-    # From below its tones are the same at all microphones of a level array.
+    # Tones from straight below reach all microphones of a level array at the same time.
     Noise("60 s of the robot's own fan, below", partial(own_fan, -90.0)),
     Noise("60 s of the robot's own fan, behind and below", partial(own_fan, -45.0)),
     Noise("60 s of a fan at 1.5 m, RT60 0.4 s", room_fan),
@@ -148,7 +148,7 @@ NOISES = (
 
 
 def recorded(paths: Sequence[Path]) -> tuple[Noise, ...]:
-    """Steady recordings (16 kHz, mono) that a user has, spread diffusely."""
+    """A user's steady recordings (16 kHz, mono), each spread as a diffuse field."""
     return tuple(
         Noise(f"60 s of {path.stem}, diffuse", partial(spread_recording, path)) for path in paths
     )
@@ -157,13 +157,13 @@ def recorded(paths: Sequence[Path]) -> tuple[Noise, ...]:
 def count_false_sources(
     workers: Workers, noises: Sequence[Noise] = NOISES
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """Scores by noise and method, as ``Results.cells`` has them."""
+    """Scores by noise and method, as in ``Results.cells``."""
     scores = workers.map(score_noise, noises, "noises")
     return {noise.name: found for noise, found in zip(noises, scores, strict=True)}
 
 
 def score_noise(inputs: Inputs, noise: Noise) -> dict[str, dict[str, float]]:
-    """What every method that the service offers reports of one noise."""
+    """False-source scores of every method that the service offers, for one noise."""
     array = preset(ARRAY)
     file = noise_file(noise, array, inputs.seed)
     registry = BundleRegistry(inputs.methods.bundles)
@@ -190,7 +190,7 @@ def noise_file(noise: Noise, array: MicrophoneArray, seed: int) -> io.BytesIO:
 
 
 def false_source_scores(result: RecordingResult) -> dict[str, float]:
-    """Reports per minute of a recording in which nothing should be reported."""
+    """Reports per minute of a recording without talkers."""
     minutes = result.duration / 60
     summary = len(result.summary) / minutes
     windows = sum(bool(window.estimate.sources) for window in result.windows) / minutes
@@ -202,7 +202,7 @@ def false_source_scores(result: RecordingResult) -> dict[str, float]:
 
 
 def _in_blocks(block: Callable[[int], FloatArray], num_samples: int) -> FloatArray:
-    """Blocks (N, T') of up to ``BLOCK_SAMPLES`` behind one another, (N, T)."""
+    """Audio (N, T) made of blocks (N, T') of up to ``BLOCK_SAMPLES``."""
     begins = range(0, num_samples, BLOCK_SAMPLES)
     return np.concatenate([block(min(BLOCK_SAMPLES, num_samples - b)) for b in begins], axis=1)
 

@@ -1,4 +1,4 @@
-"""Figures of an evaluation: error against SNR, separation and RT60, and the confidences' truth."""
+"""Figures of an evaluation: error against SNR, separation and RT60, and reliability."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ COLOURS = {
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """One thing that varies while all else stays."""
+    """Scenes in which one parameter varies."""
 
     name: str
     label: str

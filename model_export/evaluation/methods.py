@@ -1,7 +1,7 @@
-"""The methods that an evaluation compares, on any array: bundles, classical ones, the peer's.
+"""Methods that an evaluation compares, on any array: bundles, classical methods and a peer's.
 
-pyroomacoustics' NormMUSIC is run as its users should run it, with its own circular peaks, in two
-bands of which the better one counts in every cell.
+pyroomacoustics' NormMUSIC is run as its users should run it, with its own circular peak search, in
+two bands; in every cell the better band counts.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ import numpy as np
 from model_export.baselines.pyroom import direction_finder
 from model_export.baselines.told import STFT
 from model_export.simulation.protocol import SimulatedScene
+from neuralmusic.protocol.methods import METHODS, Method
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 from service.inference.bundle import Bundle, load_bundle
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, localizer_of
-from service.protocol.methods import METHODS, Method
 from service.recordings.results import DEFAULT_MAX_SOURCES
 
 PEER = "pyroomacoustics NormMUSIC"
 BANDS = ((300.0, 3500.0), (100.0, 7900.0))
-"""Hertz, of pyroomacoustics' NormMUSIC"""
+"""Bands of pyroomacoustics' NormMUSIC, in hertz"""
 CLASSICAL: tuple[Method, ...] = tuple(method for method in METHODS if method != "neural")
 
 Answer = Callable[[SimulatedScene, int | None], FloatArray]
-"""A scene and its known count, or None, to azimuths in radians, the most confident first"""
+"""Azimuths in radians, most confident first, for a scene and its known count or None"""
 
 
 class Methods:
-    """Bundles by their folders, loaded when first needed, and what they are compared with."""
+    """Bundles, loaded from their folders when first needed, and the methods beside them."""
 
     def __init__(self, folders: Sequence[Path]) -> None:
         self._folders = tuple(folders)
@@ -69,7 +69,7 @@ class Methods:
 
 
 def keep_better_band(scores: dict[str, dict[str, float]]) -> None:
-    """Of pyroomacoustics' bands only the one with the smaller MAAE stays, as its one row."""
+    """Replace the rows of pyroomacoustics' bands by one: that of the smaller MAAE."""
     bands = [scores.pop(_band_name(band)) for band in BANDS]
     scores[PEER] = min(bands, key=lambda s: s["maae_deg"])
 
@@ -86,7 +86,7 @@ def _pyroomacoustics(array: MicrophoneArray, band: tuple[float, float]) -> Answe
     method = direction_finder("NormMUSIC", array)
 
     def answer(scene: SimulatedScene, known: int | None) -> FloatArray:
-        # It must be told a count; where ours is not told either, it is told the truth.
+        # It requires a count; where the count is unknown to the others, it is told the truth.
         count = known or len(scene.azimuth)
         spectra = STFT.transform(scene.audio)
         method.locate_sources(spectra, num_src=count, freq_range=list(band))

@@ -1,7 +1,7 @@
-"""Which mistakes in recordings are named: the command ``mistakes``.
+"""Mistakes in recordings that the diagnostics name: the command ``mistakes``.
 
-Real speech in a simulated room, heard by a board of four microphones, with one mistake each made
-to the recording or to what is said of it.
+Real speech in a simulated room is recorded by a board of four microphones, each time with one
+mistake in the recording or in its description.
 """
 
 from __future__ import annotations
@@ -21,39 +21,39 @@ from model_export.evaluation.cells import living_room
 from model_export.simulation.noise import unit_power
 from model_export.simulation.rooms import impulse_responses
 from model_export.simulation.scenes import convolve
+from neuralmusic.errors import InvalidGeometry
 from service.cli.inputs import open_recording
 from service.doa.array import SPEED_OF_SOUND, MicrophoneArray
 from service.doa.diagnostics import ChannelDiagnostics
 from service.doa.presets import preset
 from service.doa.steering import unit_vectors
 from service.doa.types import FloatArray
-from service.errors import InvalidGeometry
 from service.inference.geometry import choose_channels
 
 ARRAY = "respeaker-usb-4mic-v2"
 RT60 = 0.3
 SNR_DB = 20.0
 DISTANCE = (0.7, 2.0)
-"""Metres"""
+"""Range of the talker's distance in metres"""
 AZIMUTHS = np.deg2rad(np.arange(8) * 45.0 + 10.0)
 LEVEL = 0.05
-"""RMS of the microphones, of full scale"""
+"""RMS of the microphone signals relative to full scale"""
 LATENCY_S = 0.016
-"""Of a device's own processing"""
+"""Latency in seconds of a device's own processing"""
 
 
 @dataclass(frozen=True, slots=True)
 class Talk:
-    """What the microphones hear, before any mistake."""
+    """A correct recording, to which mistakes are made."""
 
     speech: FloatArray
     """(N, T) of unit power, without noise"""
     azimuth: FloatArray
-    """(P,) radians of the talker's places, one after another for equal times"""
+    """(P,) radians, the talker's directions one after another, each for an equal time"""
     seed: tuple[int, ...]
 
     def noisy(self, speech: FloatArray | None = None) -> FloatArray:
-        """(N, T) float32 with the microphones' own noise, at a level of recordings."""
+        """The speech (N, T) with sensor noise added, scaled by ``LEVEL``, float32."""
         speech = self.speech if speech is None else speech
         rng = np.random.default_rng(self.seed)
         noise = 10 ** (-SNR_DB / 20) * rng.standard_normal(speech.shape, dtype=np.float32)
@@ -62,13 +62,13 @@ class Talk:
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """A recording that is wrong, or an array that is not the one that recorded."""
+    """A recording that is wrong, or a description of another array than the one that recorded."""
 
     name: str
     make: Callable[[Talk], FloatArray]
-    """Audio (4, T) as it is judged"""
+    """Makes the audio (4, T) that is diagnosed"""
     geometry: float = 1.0
-    """Size of the array that is named against the one that recorded"""
+    """Size of the described array relative to the one that recorded"""
 
 
 def correct(talk: Talk) -> FloatArray:
@@ -92,13 +92,13 @@ def with_late_channel(talk: Talk) -> FloatArray:
 
 
 def first_of_six(process: Callable[[Talk, FloatArray], FloatArray], talk: Talk) -> FloatArray:
-    """Channels 0 to 3 of a device that has its processed channel before the microphones."""
+    """Channels 0 to 3 of a device whose channel 0 is processed and not a microphone."""
     raw = talk.noisy()
     return np.concatenate([process(talk, raw)[None], raw[:3]])
 
 
 def beamformed(talk: Talk, raw: FloatArray) -> FloatArray:
-    """(T,) delay and sum towards the talker."""
+    """Delay-and-sum beam (T,) towards the talker."""
     parts = np.array_split(raw, len(talk.azimuth), axis=1)
     positions = preset(ARRAY).positions
     beams = []
@@ -111,7 +111,7 @@ def beamformed(talk: Talk, raw: FloatArray) -> FloatArray:
 
 
 def enhanced(latency_s: float, talk: Talk, raw: FloatArray) -> FloatArray:
-    """The beam after noise suppression and automatic gain, ``latency_s`` later."""
+    """The beam after noise suppression and automatic gain control, ``latency_s`` late."""
     options = {"fs": SAMPLE_RATE, "nperseg": 512, "noverlap": 384}
     _, _, spectra = scipy.signal.stft(beamformed(talk, raw), **options)
     power = np.abs(spectra) ** 2
@@ -129,7 +129,7 @@ def enhanced(latency_s: float, talk: Talk, raw: FloatArray) -> FloatArray:
 
 
 def at_another_rate(rate: int, talk: Talk) -> FloatArray:
-    """The recording at ``rate``, read as if it were at 16 kHz; its noise fills its band."""
+    """A recording at ``rate`` hertz, read as if it were at 16 kHz; noise fills its whole band."""
     resampled = soxr.resample(talk.speech.T, SAMPLE_RATE, rate).T
     return talk.noisy(resampled)[:, : talk.speech.shape[1]]
 
@@ -175,7 +175,7 @@ def talk_of(
 
 
 def codes(mistake: Mistake, talk: Talk) -> frozenset[str]:
-    """What is said of a recording with a mistake: findings, or that the geometry is refused."""
+    """Codes of the findings in a recording with a mistake, or of the refusal of its geometry."""
     positions = preset(ARRAY).positions * mistake.geometry
     try:
         array = MicrophoneArray("named", positions)
@@ -198,7 +198,7 @@ def talks(speech: Sequence[FloatArray], seconds: float, seed: int) -> list[Talk]
 
 
 def row(mistake: Mistake, found: Sequence[Sequence[frozenset[str]]]) -> str:
-    """A row of the table: how many recordings of each length raised a finding, and which ones."""
+    """A row of the table: how many recordings of each length raised a finding, and the codes."""
     cells = [f"{sum(map(bool, each))} of {len(each)}" for each in found]
     raised = Counter(code for each in found for raised in each for code in raised)
     named = ", ".join(f"`{code}` {count}" for code, count in raised.most_common()) or "nothing"
@@ -206,7 +206,7 @@ def row(mistake: Mistake, found: Sequence[Sequence[frozenset[str]]]) -> str:
 
 
 def real_findings(folder: Path) -> dict[str, frozenset[str]]:
-    """What is said of real recordings of the array, by their names."""
+    """Codes of the findings in real recordings of the array, by file name."""
     array = preset(ARRAY)
     found: dict[str, frozenset[str]] = {}
     for path in sorted((*folder.glob("*.flac"), *folder.glob("*.wav"))):
@@ -245,10 +245,10 @@ def document(
 HEAD = """# Mistakes in recordings
 
 What `neuralmusic check`, the `warnings` of `POST /localize` and those of streams say when a set-up
-is wrong. Measured in simulation: LibriSpeech talkers of speakers that no model was trained on,
-{snr:g} dB above the microphones' own noise, 0.7 to 2 m from `{array}` in a room of 6 x 5 x 3 m with
-an RT60 of {rt60:g} s; {count} recordings of each length: in eight of them a talker stands in one of
-eight directions, in the others one walks round all of them. One mistake is made at a time.
+is wrong. Measured in simulation: LibriSpeech speakers that no model was trained on, {snr:g} dB
+above the microphones' own noise, 0.7 to 2 m from `{array}` in a room of 6 x 5 x 3 m with an RT60 of
+{rt60:g} s; {count} recordings of each length. In eight of them the talker stands in one of eight
+directions, in the others the talker walks round all of them. One mistake is made at a time.
 
 `python -m model_export mistakes --librispeech LIBRISPEECH` writes this page.
 """
@@ -262,8 +262,8 @@ What cannot be told from sound alone:
   talker is nearly a microphone itself, and is named less often than the channels that devices
   deliver.
 
-A smaller array hears smaller delays, and so does an array of the right size from talkers above it:
-64 mm instead of 45.7 mm is a talker at 44 degrees of elevation. What tells them apart is the
-reverberation, which comes from everywhere; without any (outdoors), or beside a loud fan, nothing is
-said.
+An array that is smaller than described has shorter delays, and so has an array of the right size
+with a talker above it: 64 mm instead of 45.7 mm looks like a talker at 44 degrees of elevation.
+Reverberation, which comes from all directions, tells the two apart; without it (outdoors), or
+beside a loud fan, there is no finding.
 """

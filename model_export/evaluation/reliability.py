@@ -1,8 +1,8 @@
-"""Reliability: is a reported source as often right as its confidence says?
+"""Reliability: are reported sources right as often as their confidences say?
 
-The scenes mix what changes a confidence: one to three talkers, -5 to 30 dB, the paper's room with
-image order 0 to 4 or a room with an RT60 of 0.2 to 0.6 s; the number of talkers is unknown. A
-reported source is right if it is within 10 degrees of a talker that no other one is matched to.
+The scenes vary what changes a confidence: one to three talkers, -5 to 30 dB, the paper's room with
+image order 0 to 4 or a room with an RT60 of 0.2 to 0.6 s; the number of talkers is unknown.
+Sources are matched to talkers one to one; a source is right if its talker is within 10 degrees.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ class Reliability:
 
     scenes: int
     calibration_error: float
-    """Expected calibration error: distance of confidence and share right, weighted by sources"""
+    """Expected calibration error: mean distance of confidence and share right over the sources"""
     bins: list[Bin]
-    """Those that hold any source, least confident first"""
+    """Bins that hold a source, least confident first"""
 
     @classmethod
     def of(cls, fields: dict[str, Any]) -> Reliability:
-        """From what ``dataclasses.asdict`` made of one."""
+        """Restore one from the dictionary that ``dataclasses.asdict`` made of it."""
         bins = [Bin(**bin_) for bin_ in fields["bins"]]
         return cls(**{**fields, "bins": bins})
 
     @property
     def sources(self) -> int:
-        """Reported in all scenes together."""
+        """Number of sources reported in all scenes."""
         return sum(bin_.sources for bin_ in self.bins)
 
     def section(self) -> str:
@@ -76,7 +76,7 @@ def measure_reliability(workers: Workers, scenes: int) -> dict[str, Reliability]
 
 
 def answer_mixed_scene(inputs: Inputs, index: int) -> dict[str, Reports]:
-    """What every bundle reports of one scene."""
+    """Every bundle's reports of one scene."""
     scene = mixed_scene(inputs, index)
     reports = {}
     for name, localizer in inputs.methods.localizers(scene.array).items():
@@ -86,7 +86,7 @@ def answer_mixed_scene(inputs: Inputs, index: int) -> dict[str, Reports]:
 
 
 def mixed_scene(inputs: Inputs, index: int) -> SimulatedScene:
-    """The scene of this index."""
+    """Simulate the scene of this index."""
     rng = np.random.default_rng([inputs.seed, 5, index])
     rt60 = float(rng.uniform(0.2, 0.6)) if index % 2 else None
     protocol = SceneProtocol(
@@ -99,14 +99,14 @@ def mixed_scene(inputs: Inputs, index: int) -> SimulatedScene:
 
 
 def judged(sources: Sequence[Source], truth: FloatArray) -> Reports:
-    """Which of the sources are right, talkers at ``truth`` (M,) radians."""
+    """Confidence and correctness of every source, with talkers at ``truth`` (M,) radians."""
     pairs = match(np.array([source.azimuth for source in sources]), truth)
     right = {index for index, _, error in pairs if error <= np.deg2rad(HIT_DEG)}
     return [(source.confidence, index in right) for index, source in enumerate(sources)]
 
 
 def reliability(reports: Reports, scenes: int) -> Reliability:
-    """Ten bins of equal width, and the error over them."""
+    """Ten bins of equal width and the calibration error over them."""
     confidence = np.array([confidence for confidence, _ in reports])
     right = np.array([right for _, right in reports], dtype=bool)
     bins = confidence_bins(confidence, right)

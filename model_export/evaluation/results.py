@@ -28,7 +28,7 @@ TITLES: Mapping[str, str] = {
     "missed_talkers": "Share of talkers without an estimate within 10 degrees",
     "count_accuracy": "Share of windows with the right number of sources",
     "unanswered": "Share of windows without any estimate",
-    "false_sources_per_minute": "False sources a minute where nobody speaks: both of the next two",
+    "false_sources_per_minute": "False sources a minute where nobody speaks: sum of the next two",
     "summary_sources_per_minute": "Sources in the recording's summary, a minute",
     "reporting_windows_per_minute": "Windows that report a source, a minute",
 }
@@ -40,6 +40,11 @@ README_CELLS = (
     "M=1, 10x8x3.5 m, RT60 0.6 s",
     "M=1, order 4, 6-mic circular",
 )
+README_PREFACE = """\
+Mean absolute angular error in degrees, {scenes} simulated scenes a row, held-out speakers, the
+number of talkers known. `any-array` is the default model, trained on none of these arrays, but in
+the paper's room (the rows with an order). `paper` is the paper's own network, bound to one array:
+"""
 PREFACE = """# Results
 
 Written by `python -m model_export evaluate` (`docs/training.md` has the whole command);
@@ -48,24 +53,24 @@ Written by `python -m model_export evaluate` (`docs/training.md` has the whole c
 
 A window has 64 frames and begins with the utterance, a single word. In the cells with talkers a
 fixed angle apart and in the one with windows of 0.5 s speech is continuous: a word without its
-silence, again and again, begun long enough before the window to fill the room (6 x 5 x 3 m) with
-its reverberation; there the SNR is that of a second of speech, and windows in which a talker is
+silence is repeated and starts so long before the window that its reverberation fills the room
+(6 x 5 x 3 m). In these cells the SNR refers to a second of speech, and windows in which a talker is
 20 dB below its own active level do not count. The array is the ReSpeaker square and the room the
 paper's (7 x 7 x 3 m, rigid walls, image order 4) unless the cell says otherwise; sources stand at
-0.5 to 2 m, at least 10 degrees apart, each with the same power. `results.json` has the arrays'
-positions; `any-array` was trained on none of them.
+0.5 to 2 m, at least 10 degrees apart, with equal power. `results.json` has the arrays' positions;
+`any-array` was trained on none of them.
 
-`pyroomacoustics NormMUSIC` is the library's own, with its circular peaks, 300 to 3500 Hz and 100
-to 7900 Hz, the better of the two in every cell; it must be told the number of sources and is told
-the truth also where the others are not. The classical methods of this service use one signal
+`pyroomacoustics NormMUSIC` is the library's own, with its circular peak search, at 300 to 3500 Hz
+or 100 to 7900 Hz, whichever is better in the cell. It requires the number of sources and is told
+the truth even where the others are not. The classical methods of this service use one signal
 dimension where the count is unknown. "–": the method does not fit the cell's array, or has no
 such score.
 
 Recordings without any talker (digital silence, white noise, isotropic noise; a synthetic fan 10 cm
-from the array, straight below it or 45 degrees behind and below, whose tones all microphones hear
-while the air brushes each on its own; a fan across a room) go through the service's own path with
-the options that requests have by default. A minute has 117 windows; a source in the recording's
-summary is one false source and so is every window that reports any.
+from the array, straight below it or 45 degrees behind and below, whose tones reach all microphones
+while its turbulence is independent at each; a fan across a room) go through the service's own path
+with a request's default options. A minute has 117 windows; every source in the recording's summary
+is a false source, and so is every window that reports any.
 """
 
 FIGURES = """## Figures
@@ -85,10 +90,10 @@ class Results:
     seed: int
     split: Split = "heldout"
     cells: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
-    """By cell, method and score; recordings without talkers have scores of their own"""
+    """Values by cell, method and score; recordings without talkers have scores of their own"""
     protocols: dict[str, Any] = field(default_factory=dict)
     reliability: dict[str, Reliability] = field(default_factory=dict)
-    """By bundle"""
+    """Reliability by bundle"""
 
     @classmethod
     def read(cls, path: Path) -> Results:
@@ -98,9 +103,9 @@ class Results:
         return cls(**fields, reliability=found)
 
     def write(self, folder: Path) -> None:
-        """``results.json``, and ``results.md`` with the bars and a table per score.
+        """Write ``results.json``, and ``results.md`` with the bars and a table per score.
 
-        The paper's comparison in it (``experiments.report``) stays.
+        The section of the paper's comparison in ``results.md`` (``experiments.report``) is kept.
         """
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "results.json").write_text(json.dumps(asdict(self), indent=1) + "\n")
@@ -114,7 +119,7 @@ class Results:
         return "\n".join([preface, self.tables(), FIGURES])
 
     def tables(self) -> str:
-        """The bars, a table per score and the reliability, as far as there are any."""
+        """The bars, a table per score and the reliability of what was evaluated."""
         sections = [f"## Bars\n\n{bars_section(self.cells)}"]
         for score, title in TITLES.items():
             cells = [cell for cell, found in self.cells.items() if _has(found, score)]
@@ -137,16 +142,12 @@ class Results:
         return "\n".join(lines) + "\n"
 
     def readme_block(self) -> str:
-        """What stands between the README's markers."""
-        table = self.table("maae_deg", README_CELLS, ["any-array", PEER, "srp_phat"])
-        return (
-            f"Mean absolute angular error in degrees, {self.scenes} simulated scenes "
-            "a row, held-out speakers, the\nnumber of talkers known. None of these arrays was in "
-            f"the training; the paper's room, in the rows\nwith an order, was:\n\n{table}"
-        )
+        """The text between the README's markers."""
+        table = self.table("maae_deg", README_CELLS, ["any-array", "paper", PEER, "srp_phat"])
+        return f"{README_PREFACE.format(scenes=self.scenes)}\n{table}"
 
     def bundle_scores(self, name: str) -> dict[str, Any]:
-        """What a manifest carries of the evaluation."""
+        """One bundle's scores for its manifest."""
         return {
             "protocol": "docs/results.md: held-out speakers, "
             f"seed {self.seed}, {self.scenes} scenes a cell",

@@ -1,4 +1,4 @@
-"""Worker processes of an evaluation: results do not depend on how many there are."""
+"""Worker processes of an evaluation: results do not depend on their number."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ResultT = TypeVar("ResultT")
 
 @dataclass(frozen=True)
 class Inputs:
-    """What every task reads; each process has its own."""
+    """Inputs of every task; each process has its own copy."""
 
     methods: Methods
     speech: Sequence[FloatArray]
@@ -32,7 +32,7 @@ class Inputs:
 
 
 class Workers:
-    """A number of processes with one thread each; a single one is this process itself."""
+    """Processes with one thread each; a single worker is this process itself."""
 
     def __init__(self, inputs: Inputs, pool: ProcessPoolExecutor | None, count: int) -> None:
         self.inputs, self._pool, self._count = inputs, pool, count
@@ -40,11 +40,11 @@ class Workers:
     @classmethod
     @contextmanager
     def start(cls, inputs: Inputs, count: int = 1) -> Iterator[Self]:
-        """So many workers, which end with the context."""
+        """Start ``count`` workers, which end with the context."""
         if count == 1:
             yield cls(inputs, None, count)
             return
-        # Not forked: numpy in a fresh process reads its number of threads from the environment.
+        # Not forked: only a fresh process reads numpy's number of threads from the environment.
         spawn = multiprocessing.get_context("spawn")
         pool = ProcessPoolExecutor(count, spawn, initializer=_begin, initargs=(inputs,))
         try:
@@ -55,7 +55,7 @@ class Workers:
     def map(
         self, run: Callable[[Inputs, TaskT], ResultT], tasks: Sequence[TaskT], description: str
     ) -> list[ResultT]:
-        """Every task's result, in the tasks' order; ``run`` is a function of a module."""
+        """Every task's result, in the tasks' order; ``run`` must be a module-level function."""
         if not tasks:
             return []
         results: Iterable[ResultT]
@@ -68,7 +68,7 @@ class Workers:
 
 
 _inputs: Inputs | None = None
-"""Of a worker process"""
+"""Inputs of this worker process"""
 
 
 def _begin(inputs: Inputs) -> None:

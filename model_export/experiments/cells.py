@@ -1,4 +1,4 @@
-"""Which scenes the experiments train and score on."""
+"""Scenes that the experiments train and score on."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from model_export.simulation.protocol import SceneProtocol
 
 TRAIN = "train"
 COUNTS = (1, 2, 1, 2, 1, 2, 1, 2, 3)
-"""Talkers of the training scenes, in turn"""
+"""Numbers of talkers of the training scenes, in turn"""
 SPARSE_DEG = (5, 10)
 PLACES = {
     "room B": SceneProtocol(room=small_room(0.35)),
@@ -19,22 +19,23 @@ PLACES = {
     "array B": SceneProtocol(array="4-mic ring r 50 mm"),
     "array C": SceneProtocol(array="irregular 4-mic"),
 }
-"""Neither is said by the paper, whose room A and array A are those of the training: B is small and
-dry, C large and live; B another ring, turned by 45 degrees, C irregular and not flat"""
+"""Rooms and arrays other than those of the training (A), chosen by us, since the paper does not say
+what its B and C are. Room B is small and dry, C large and reverberant; array B is another ring,
+turned by 45 degrees, C irregular and not flat."""
 LINEAR = "4-mic line, 40 mm apart"
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """Scenes that a method is scored on, and what it is told."""
+    """Scenes that a method is scored on, and whether it knows the count."""
 
     scenes: str
     """Name of the scene set"""
     count_known: bool = True
     snr_db: float | None = None
-    """Of further white noise"""
+    """SNR of further white noise"""
     first: int | None = None
-    """Only so many of the scenes"""
+    """Number of scenes to score, the first ones; None is all"""
 
     @property
     def key(self) -> str:
@@ -46,7 +47,7 @@ class Cell:
 
 
 def recipes(scale: Scale) -> dict[str, Recipe]:
-    """Every scene set by its name."""
+    """Recipes of all scene sets by name."""
     train = tuple(SceneProtocol(num_sources=count, orders=(0, 4)) for count in COUNTS)
     found = [Recipe(TRAIN, train, "train", scale.train_scenes, 101)]
     for step in SPARSE_DEG:

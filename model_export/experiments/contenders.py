@@ -1,4 +1,4 @@
-"""Which methods an experiment compares."""
+"""Methods that an experiment compares."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def classical_contenders(*, linear: bool = False) -> list[Contender]:
 def shipped_contenders(*, any_array: bool = False) -> list[Contender]:
     """The service's own bundles, trained as docs/training.md says and not for the comparison.
 
-    ``any_array`` leaves those out that are bound to one array.
+    ``any_array`` leaves out those that are bound to one array.
     """
     bundles = shipped().values()
     return [Contender(each.card.name) for each in bundles if not (any_array and each.bound)]
@@ -42,7 +42,7 @@ def matched_contenders(**variant: object) -> list[Contender]:
 
 
 def title(label: str) -> str:
-    """What tables call a contender."""
+    """A contender's name in tables."""
     name, _, rest = label.partition(", ")
     known = {**cards(), **{name: bundle.card for name, bundle in shipped().items()}}
     base = known[name].title if name in known else name

@@ -1,4 +1,4 @@
-"""The experiments that are curves: error over the share of the training data and over the SNR."""
+"""Experiments shown as curves: error over the share of the training data and over the SNR."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def training_share(study: Study, figures: Path) -> Outcome:
 
 
 def snr(study: Study, figures: Path) -> Outcome:
-    """White noise added to the test scenes."""
+    """Methods scored on test scenes with added white noise."""
     scenes = study.scale.sweep_scenes
     cells = [Cell("test-1", snr_db=float(level), first=scenes) for level in paper.SNRS_DB]
     contenders = study.only(
@@ -54,9 +54,9 @@ def snr(study: Study, figures: Path) -> Outcome:
     curves = {label: [found[cell]["maae_deg"] for cell in cells] for label, found in scores.items()}
     name = draw_curves(figures, "snr", "SNR of the added noise in dB", paper.SNRS_DB, curves)
     text = (
-        "One talker, error in degrees with white noise of a microphone's own added to the test "
-        "scenes, which have 30 dB without it. One scene that is missed by 90 degrees is "
-        f"{90 / scenes:.1f} of these means."
+        "One talker, error in degrees with white noise, independent at every microphone, added to "
+        "the test scenes, which have 30 dB without it. One scene with an error of 90 degrees adds "
+        f"{90 / scenes:.1f} degrees to these means."
     )
     tables = _tables(paper.SNRS_DB, curves, paper.SNR, " dB")
     return Outcome(text, tables, (("Error over the SNR", name),))
@@ -69,7 +69,7 @@ def draw_curves(
     points: Sequence[float],
     curves: Mapping[str, Sequence[float]],
 ) -> str:
-    """Write a figure with one curve a method; its file's name."""
+    """Write a figure with one curve a method; returns its file's name."""
     figure, panel = axes(label, "mean absolute angular error in degrees")
     for method, errors in curves.items():
         panel.plot(points, errors, **style(method), label=title(method))

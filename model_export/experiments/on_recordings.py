@@ -1,4 +1,4 @@
-"""The main table on recordings: the paper's other data sets, for whoever has downloaded them."""
+"""The main table on recordings: the paper's other data sets, once they are downloaded."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from service.doa.types import FloatArray
 
 HOP_SAMPLES = WINDOW_SAMPLES // 2
 OFFSET_ITEMS = 500
-"""Of the training split, for the angle between the annotations' zero and the array's"""
+"""Number of training items that give the angle between the annotations' zero and the array's"""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingSet:
-    """One data set as the experiment takes it."""
+    """One data set in the experiment."""
 
     title: str
     open: Callable[[Path], Dataset]
@@ -75,7 +75,7 @@ def recordings(study: Study, name: str, folder: Path) -> Outcome:
     Raises
     ------
     ValueError
-        If a file of the data set is wrong; it is named.
+        If a file of the data set is wrong; the message names it.
     """
     task = TASKS[name]
     train = f"{name} train"
@@ -102,7 +102,7 @@ def recordings(study: Study, name: str, folder: Path) -> Outcome:
 
 
 def _cut(study: Study, name: str, task: RecordingSet, folder: Path) -> list[int]:
-    """Scene sets of both splits; the numbers of sources that the test split has."""
+    """Write scene sets of both splits; returns the test split's numbers of sources."""
     dataset = task.open(folder)
     first = next(dataset.items(task.train))
     offset = 0.0 if task.zero_known else _zero(dataset.items(task.train))

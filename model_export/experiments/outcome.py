@@ -1,4 +1,4 @@
-"""What an experiment finds: tables and figures, as JSON and as Markdown."""
+"""Outcomes of experiments: tables and figures, as JSON and as Markdown."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Table:
 
     columns: tuple[str, ...]
     rows: Rows
-    """Numbers as measured; None: there is none"""
+    """Names and measured numbers; None where there is no number"""
     digits: int = 2
 
     def markdown(self) -> str:
@@ -36,7 +36,7 @@ class Outcome:
     """One experiment's outcome."""
 
     text: str
-    """What was done, and how it differs from the paper"""
+    """The experiment, and its differences from the paper"""
     tables: Sequence[Table] = field(default_factory=tuple)
     figures: Sequence[tuple[str, str]] = field(default_factory=tuple)
     """Caption and file name"""
@@ -52,7 +52,7 @@ class Outcome:
 
     @classmethod
     def from_dict(cls, fields: dict[str, Any]) -> Outcome:
-        """What ``as_dict`` gave, also after a round trip through JSON."""
+        """Restore the result of ``as_dict``, also after a round trip through JSON."""
         tables = tuple(
             Table(tuple(t["columns"]), tuple(tuple(row) for row in t["rows"]), t["digits"])
             for t in fields["tables"]

@@ -1,9 +1,9 @@
-"""Figures that the paper, its notebook and its plots report, beside which ours stand.
+"""Figures that the paper, its notebook and its plots report, for comparison with ours.
 
-MAAE in degrees unless said otherwise. Missing: not in the text, or a copy of another cell. Curves
-were read off plots, to about a tenth of a degree. The classical rows of two sources are near chance
-(two random guesses give 71, one right peak named twice 45): the authors' code looks for one peak
-only, so they are no bar for a method run correctly.
+Figures are MAAE in degrees unless said otherwise. Missing ones are not in the text, or copy another
+cell. Curves are read off plots, to about a tenth of a degree. The classical rows of two sources are
+near chance (two random guesses give 71, one right peak counted twice 45): the authors' code looks
+for one peak only, so these rows are no bar for a method that is run correctly.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MAIN: Mapping[str, Row] = {
     "da_music": {"M=1": 4.29},
     "neuralmusic": {"M=1": 1.39, "M=2": 2.25, "unknown": 2.14},
 }
-"""Google Speech Commands in the simulated room; of classical methods the paper's "unknown" is the
+"""Google Speech Commands in the simulated room; for classical methods the paper's "unknown" is the
 mean of the other two columns"""
 
 RECORDINGS: Mapping[str, Row] = {
@@ -37,7 +37,7 @@ RECORDINGS: Mapping[str, Row] = {
     "transformer": {"SLoClas": 3.59},
     "crnn": {"AFPILD": 10.55},
 }
-"""Datasets of recordings"""
+"""Data sets of recordings"""
 
 ABLATION: Mapping[str, Row] = {
     "complete": {"M=1": 1.39, "M=2": 2.25, "AFPILD": 10.24},

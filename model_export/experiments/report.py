@@ -1,4 +1,4 @@
-"""The experiments' outcomes in docs: one JSON file, and their part of results.md."""
+"""The experiments' outcomes in docs: one JSON file, and a section of results.md."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ discusses: `python -m model_export methods` lists them, `docs/training.md` says 
 the paper's own scale. Numbers are written by the commands below, none by hand;
 `comparison/findings.json` has them all. At the scale `{scale}` a network sees {train_scenes}
 training scenes for {epochs} epochs, and networks that are too heavy for a CPU are narrower than
-published, so that learned methods are far from what they reach at the paper's scale (72,000 scenes,
-100 epochs): compare them with each other, not with the paper's columns. Classical methods need no
-training: theirs are final.
+published. Learned methods are therefore far from what they reach at the paper's scale (72,000
+scenes, 100 epochs): compare them with each other, not with the paper's columns. Classical methods
+need no training: their figures are final.
 
 The array is the ReSpeaker square, the room the paper's (7 x 7 x 3 m, rigid walls, image order 4;
 0 to 4 in training), 30 dB, held-out speakers, sources at 0.5 to 2 m and at least 10 degrees apart;
@@ -30,7 +30,7 @@ counts 90 degrees. The command above a table makes all of it; with `--methods NA
 
 
 def keep(docs: Path, name: str, title: str, command: str, scale: str, outcome: Outcome) -> None:
-    """Add one experiment's outcome to the JSON file, in place of an older one."""
+    """Add one experiment's outcome to the JSON file; it replaces an older one."""
     found = _read(docs)
     found[name] = {"title": title, "command": command, "scale": scale, **outcome.as_dict()}
     path = docs / FOLDER / "findings.json"
@@ -39,7 +39,7 @@ def keep(docs: Path, name: str, title: str, command: str, scale: str, outcome: O
 
 
 def section(docs: Path, order: list[str], scale: dict[str, Any]) -> str:
-    """The Markdown of all kept outcomes, in this order."""
+    """Markdown of all kept outcomes, in this order."""
     parts = [PREFACE.format(scale=scale["name"], **{k: v for k, v in scale.items() if k != "name"})]
     found = _read(docs)
     for name in (name for name in order if name in found):

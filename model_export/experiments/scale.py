@@ -1,4 +1,4 @@
-"""How large an experiment is run."""
+"""Sizes of the experiments."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ class Scale:
     train_scenes: int
     epochs: int
     pretraining_epochs: int
-    """Of self-supervised spatial correlation learning, without labels, on the same scenes"""
+    """Epochs of self-supervised spatial correlation learning, on the same scenes without labels"""
     test_scenes: int
-    """In each cell of the main table"""
+    """Scenes in each cell of the main table"""
     sweep_scenes: int
-    """At each point of a curve, and in each cell of another room or array"""
+    """Scenes at each point of a curve, and in each cell of another room or array"""
     labelled_directions: int
     """Directions of a one-shot fine-tuning, one scene each"""
     tuning_epochs: int
@@ -32,7 +32,7 @@ SCALES: Mapping[str, Scale] = {
     for scale in (
         Scale("smoke", 12, 1, 1, 4, 2, 6, 1, reduced=True, batch_size=6),
         Scale("small", 2400, 5, 4, 120, 60, 72, 10, reduced=True),
-        # The paper's: 100 scenes a degree and count to train on, 25 a degree to test.
+        # As in the paper: 100 training scenes per degree and count, 25 test scenes per degree.
         Scale("paper", 72_000, 100, 400, 9000, 9000, 360, 50, reduced=False, batch_size=32),
     )
 }

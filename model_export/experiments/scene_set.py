@@ -21,16 +21,16 @@ from service.doa.types import FloatArray
 
 DESCRIPTION = "array.json"
 PART = 2400
-"""Scenes that are simulated before they are written"""
+"""Number of scenes that are simulated at a time, before they are written"""
 
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """Which scenes: protocols in turn, speakers, a seed."""
+    """Definition of a scene set: protocols in turn, speakers, a seed."""
 
     name: str
     protocols: tuple[SceneProtocol, ...]
-    """Scene k has protocol k modulo their number"""
+    """Protocols, of which scene k takes number k modulo their count"""
     split: Split
     count: int
     seed: int
@@ -41,9 +41,9 @@ class SceneSet:
     """Windows of one array with their sources."""
 
     audio: FloatArray
-    """(S, N, T) float16 at 16 kHz with a peak of 1, on disk until it is read"""
+    """(S, N, T) float16 at 16 kHz with a peak of 1, memory-mapped"""
     azimuth: FloatArray
-    """(S, MAX_TALKERS) radians, NaN behind a scene's sources"""
+    """(S, MAX_TALKERS) radians, padded with NaN"""
     array: MicrophoneArray
 
     def __len__(self) -> int:
@@ -61,13 +61,13 @@ class SceneSet:
         return sources
 
     def share(self, share: float, seed: int = 0) -> SceneSet:
-        """A random part, whatever the scenes' order: no direction is favoured."""
+        """A random part of the scenes, which favours no direction whatever their order."""
         kept = np.random.default_rng(seed).permutation(len(self))[: round(share * len(self))]
         return SceneSet(self.audio[np.sort(kept)], self.azimuth[np.sort(kept)], self.array)
 
     @classmethod
     def read(cls, folder: Path) -> SceneSet:
-        """The set that ``write`` left."""
+        """Read the set that ``write`` has written."""
         described = json.loads((folder / DESCRIPTION).read_text())
         array = MicrophoneArray(described["name"], np.array(described["positions_m"]))
         azimuth = np.load(folder / "azimuth.npy")
@@ -79,7 +79,7 @@ class SceneSet:
     def write(
         cls, folder: Path, scenes: Iterable[tuple[FloatArray, FloatArray]], array: MicrophoneArray
     ) -> SceneSet:
-        """Keep scenes, each with audio (N, T) and azimuths (M,), and read them again.
+        """Write scenes, each with audio (N, T) and azimuths (M,) in radians, and read the set.
 
         Longer windows are cut, shorter ones padded to ``WINDOW_SAMPLES``.
 
@@ -103,7 +103,7 @@ class SceneSet:
         if not azimuth:
             raise ValueError(f"{folder.name}: no scene has a known direction")
         np.save(folder / "azimuth.npy", np.stack(azimuth).astype(np.float32))
-        # Last: its presence says that the set is whole.
+        # Written last: its presence says that the set is whole.
         (folder / DESCRIPTION).write_text(
             json.dumps({"name": array.name, "positions_m": array.positions.tolist()}) + "\n"
         )
@@ -116,7 +116,7 @@ def is_whole(folder: Path) -> bool:
 
 
 def simulated(folder: Path, recipe: Recipe, speech: Sequence[FloatArray], workers: int) -> SceneSet:
-    """The recipe's scenes, simulated and written."""
+    """Simulate and write the recipe's scenes."""
     with Workers.start(Inputs(Methods(()), speech, recipe.seed), workers) as pool:
         parts = (
             pool.map(
@@ -138,7 +138,7 @@ def _simulate(inputs: Inputs, task: tuple[Recipe, int]) -> tuple[FloatArray, Flo
 
 
 def _half_precision(samples: FloatArray) -> FloatArray:
-    """(N, WINDOW_SAMPLES) float16 with a peak of 1: its errors are 70 dB below."""
+    """Audio (N, WINDOW_SAMPLES) float16 with a peak of 1; rounding errors are 70 dB below it."""
     kept = samples[:, :WINDOW_SAMPLES]
     kept = np.pad(kept, [(0, 0), (0, WINDOW_SAMPLES - kept.shape[1])])
     scaled: FloatArray = (kept / max(float(np.abs(kept).max()), 1e-9)).astype(np.float16)

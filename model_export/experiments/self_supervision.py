@@ -1,4 +1,4 @@
-"""What self-supervised learning does: its curve, its reconstructions, the features it gives."""
+"""Self-supervised learning: its loss curve, its reconstructions, its latent features."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from model_export.experiments.contenders import NEURALMUSIC
 from model_export.experiments.outcome import Outcome, Table
 from model_export.experiments.scene_set import SceneSet
 from model_export.experiments.study import SEED, Contender, Study
-from model_export.experiments.training import parameters
-from model_export.training.config import PAPER_SSCL
+from model_export.experiments.training import SSCL, parameters
 from model_export.training.masking import draw_mask, masked_features
 from model_export.training.sscl import SsclPipeline, SsclTask
 from model_export.training.task import STFT
@@ -30,7 +29,7 @@ PERPLEXITY = 15.0
 
 
 def sscl_loss(study: Study, figures: Path) -> Outcome:
-    """The curve of the self-supervised stage."""
+    """Loss curve of the self-supervised stage."""
     study.train([NEURALMUSIC])
     curve = json.loads((study.pretraining(TRAIN) / "curve.json").read_text())
     steps, losses = ([point[key] for point in curve] for key in ("step", "loss"))
@@ -39,7 +38,7 @@ def sscl_loss(study: Study, figures: Path) -> Outcome:
     name = save(figure, figures, "sscl-loss")
     text = (
         "Self-supervised spatial correlation learning: a random microphone is masked and rebuilt "
-        "from the others, no direction is told. The loss is relative, 1 for an empty "
+        "from the others, without directions. The loss is relative, 1 for an empty "
         "reconstruction (`model_export/training/sscl.py` says how it differs from the paper's)."
     )
     rows = tuple(
@@ -52,7 +51,7 @@ def reconstructions(study: Study, figures: Path) -> Outcome:
     """Masked, reconstructed and true spectrograms of one scene, one row for each kind of mask."""
     study.train([NEURALMUSIC])
     study.simulate(["test-1"])
-    task = SsclTask(PAPER_SSCL)
+    task = SsclTask(SSCL)
     task.model.load_state_dict(parameters(study.pretraining(TRAIN)))
     task.model.eval()
     spectra = STFT.transform(study.scenes("test-1").window(0)[None])
@@ -114,7 +113,7 @@ def latent_features(study: Study, figures: Path) -> Outcome:
 
 
 def _masks(shape: tuple[int, ...]) -> list[BoolArray]:
-    """One mask of every kind, the first that the seed draws of each."""
+    """One mask of every kind, the first of each that the seed draws."""
     found: dict[str, BoolArray] = {}
     rng = np.random.default_rng(SEED)
     while len(found) < len(MASKS):
@@ -126,7 +125,7 @@ def _masks(shape: tuple[int, ...]) -> list[BoolArray]:
 
 @torch.no_grad()
 def _reconstruction(model: SsclPipeline, spectra: ComplexArray, mask: BoolArray) -> ComplexArray:
-    """Microphone 0 (F, L) of spectra (1, N, F, L), at their scale."""
+    """Reconstruction (F, L) of microphone 0 of spectra (1, N, F, L), in their scale."""
     power = np.sqrt(np.maximum((np.abs(spectra) ** 2).sum(axis=1, keepdims=True), 1e-30))
     microphone = np.zeros(1, dtype=np.int64)
     features = torch.from_numpy(masked_features(spectra, microphone, mask[None]))
@@ -140,7 +139,7 @@ def _latent(study: Study, scenes: SceneSet) -> dict[str, FloatArray]:
     """Latent features (S, D) of every scene, after each stage."""
     audio = np.stack([scenes.window(index) for index in range(len(scenes))])
     features = torch.from_numpy(matched_features(audio))
-    pretrained = SsclTask(PAPER_SSCL).model
+    pretrained = SsclTask(SSCL).model
     pretrained.load_state_dict(parameters(study.pretraining(TRAIN)))
     method = study.method(Contender("neuralmusic", NEURALMUSIC))
     assert isinstance(method, LearnedMethod)

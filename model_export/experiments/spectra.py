@@ -21,7 +21,7 @@ from service.doa.types import FloatArray
 
 SHOWN = (Cell("test-1"), Cell("test-2"), Cell("test-3"), Cell("test-1", snr_db=0.0))
 SCENE = 0
-"""The first of every test set, not a chosen one"""
+"""Index of the scene that is shown: the first of every test set, not a chosen one"""
 
 
 def spectra(study: Study, figures: Path) -> Outcome:
@@ -43,8 +43,8 @@ def spectra(study: Study, figures: Path) -> Outcome:
     name = save(figure, figures, "spectra", dpi=90)
     text = (
         "Spectra of the first scene of each test set, scaled to their own range; red lines are the "
-        "talkers, dots the method's answer with the count known. Methods without a spectrum show "
-        "their answer alone."
+        "talkers, dots the method's estimates with the count known. Methods without a spectrum "
+        "show their estimates only."
     )
     return Outcome(text, (), (("Spectra of all methods", name),))
 

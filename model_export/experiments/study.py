@@ -41,7 +41,7 @@ from service.doa.types import FloatArray
 
 SEED = 1
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-"""Of each worker: the machine's CPUs are shared by as many workers"""
+"""Environment of each worker; the workers share the machine's CPUs"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +49,12 @@ class Contender:
     """A method in a table: a classical one or a shipped bundle by its name, or a training."""
 
     label: str
-    """The method's name in the catalogue, and its variant"""
+    """Name of the method in the catalogue, and its variant"""
     training: Training | None = None
 
     @property
     def key(self) -> str:
-        """A name for files; a bundle's is that of its contents, too."""
+        """A name for files; a bundle's depends on its contents, too."""
         if self.training:
             return self.training.key
         bundle = shipped().get(self.label)
@@ -72,22 +72,22 @@ class Contender:
 
 
 Scores = dict[str, float]
-"""``scoring.evaluate``'s, and ``cpu_ms`` a window"""
+"""Scores of ``scoring.evaluate``, and ``cpu_ms`` a window"""
 
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """Where a scale's work lies and what it is made of."""
+    """The folder of a scale's work and the settings of that work."""
 
     folder: Path
     scale_name: str
     speech: Path
-    """Speech Commands"""
+    """Folder of Speech Commands"""
     workers: int = 1
     device: str = "cpu"
-    """That networks are trained on; answers are always computed on the CPU"""
+    """Device that networks are trained on; estimates are always computed on the CPU"""
     methods: tuple[str, ...] = ()
-    """Names in the catalogue that are compared; none: all"""
+    """Names in the catalogue of the methods that are compared; empty means all"""
 
     @property
     def scale(self) -> Scale:
@@ -107,7 +107,7 @@ class Study:
                 simulated(folder, known[name], speech, self.workers)
 
     def train(self, trainings: Iterable[Training]) -> None:
-        """Do the trainings that are not done, and what they start from."""
+        """Run the trainings that are missing, and those that they start from."""
         wanted = list(dict.fromkeys(trainings))
         bases = [replace(training, tuned_to=None) for training in wanted]
         self.simulate(
@@ -134,7 +134,7 @@ class Study:
         }
 
     def only(self, contenders: Sequence[Contender]) -> list[Contender]:
-        """Those of the contenders whose methods are asked for."""
+        """Select the contenders whose methods are asked for."""
         return [each for each in contenders if not self.methods or each.name in self.methods]
 
     def run(self, training: Training) -> Path:
@@ -154,7 +154,7 @@ class Study:
         return LearnedMethod(fresh)
 
     def _work(self, job: Callable[[Any], Any], tasks: Sequence[Any], description: str) -> list[Any]:
-        """Results in the tasks' order, under a progress bar; what is done returns at once."""
+        """Run a job on all tasks under a progress bar; results are in the tasks' order."""
         if not tasks:
             return []
         columns = (
@@ -198,7 +198,7 @@ def _fresh(study: Study, training: Training) -> Any:
 
 
 def _silent(step: int, steps: int, loss: float) -> None:
-    """Trainings in processes of their own are told by the bar of all trainings."""
+    """Report nothing: one bar shows the progress of all trainings."""
 
 
 def _pretrain(task: tuple[Study, str]) -> None:
@@ -226,7 +226,7 @@ def _train(task: tuple[Study, Training]) -> None:
 
 
 def _take_encoder(trunk: CovarianceTrunk, pretraining: Path) -> None:
-    """Every parameter and statistic of the self-supervised encoder."""
+    """Copy every parameter and statistic of the self-supervised encoder."""
     state, prefix = parameters(pretraining), "encoder."
     trunk.encoder.load_state_dict(
         {name[len(prefix) :]: value for name, value in state.items() if name.startswith(prefix)}
@@ -234,7 +234,7 @@ def _take_encoder(trunk: CovarianceTrunk, pretraining: Path) -> None:
 
 
 def _told(contender: Contender, cell: Cell) -> Cell:
-    """The cell as the contender sees it: what cannot count is told the count everywhere."""
+    """The cell for a contender: one that cannot count knows the count everywhere."""
     return cell if contender.counts else replace(cell, count_known=True)
 
 
@@ -253,7 +253,7 @@ def _score(task: tuple[Study, Contender, Cell]) -> Scores:
 def score(method: Method, scenes: SceneSet, cell: Cell) -> Scores:
     """A method's scores on a set.
 
-    On a line of microphones front and back are one, in the truth as in the answers.
+    For a line of microphones, truth and estimates are mapped to one side of it.
     """
     found, truth, spent = [], [], []
     for index in range(min(len(scenes), cell.first or len(scenes))):
@@ -269,7 +269,7 @@ def score(method: Method, scenes: SceneSet, cell: Cell) -> Scores:
 
 
 def heard(scenes: SceneSet, index: int, snr_db: float | None) -> FloatArray:
-    """One scene's window (N, T), with further noise where a ratio is given."""
+    """One scene's window (N, T), with further noise if an SNR is given."""
     window = scenes.window(index)
     if snr_db is None:
         return window

@@ -1,4 +1,4 @@
-"""The experiments that are tables of errors: main, ablation, sparse angles, transfer, lines."""
+"""Experiments shown as tables of errors: main, ablation, sparse angles, transfer, lines."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HEADINGS = ("M=1", "M=2", "unknown")
 
 
 def main_table(study: Study) -> Outcome:
-    """Every method, one and two talkers and an unknown count."""
+    """Every method on one talker, two talkers and an unknown count."""
     contenders = study.only(
         [
             *classical_contenders(),
@@ -61,14 +61,14 @@ def main_table(study: Study) -> Outcome:
         "scenes and for longer (docs/training.md).\n\n"
         "Where this differs from the paper, and why. Classical methods with one talker agree with "
         "it as far as two draws of a protocol do; FRIDA and WAVES are better because their "
-        "failures are mended (`model_export/baselines/frida.py`, `coherent.py`). With two talkers "
+        "failures are fixed (`model_export/baselines/frida.py`, `coherent.py`). With two talkers "
         "the paper's classical rows are near chance: its code asks for one peak, here every method "
         "is told two. Learned methods have seen a small part of the paper's training, and methods "
         "that are given sample covariances or correlations come furthest with it: NeuralMUSIC has "
         "to find out from spectrogram images which of its channels stands for which frequency. The "
         "bundle `paper` is the same network after several times as many scenes. As cited, DA-MUSIC "
         "and TransMUSIC read snapshots with absolute phases and regress angles from a spectrum: "
-        "they learn the scenes by heart. With relative phases and a spectrum as output they are "
+        "they memorise the scenes. With relative phases and a spectrum as output they are "
         "among the best. The second table has the paper's rows on recordings; ours need the "
         "downloads: `python -m model_export recordings DATASET DIR`."
     )
@@ -77,7 +77,7 @@ def main_table(study: Study) -> Outcome:
 
 
 def ablation(study: Study) -> Outcome:
-    """NeuralMUSIC without fusion's attention and without self-supervised learning."""
+    """NeuralMUSIC without frequency attention, and without self-supervised learning."""
     variants = {
         "complete": NEURALMUSIC,
         "without FAF": replace(NEURALMUSIC, attention=False),
@@ -96,7 +96,7 @@ def ablation(study: Study) -> Outcome:
         "fusion, and with an encoder that starts from random numbers instead of self-supervised "
         "learning on the same scenes without labels. At the scale `small` the network without that "
         "first stage has hardly begun to learn, and attention, which weighs what the bins have "
-        "learned, costs more than it gives: both differ from the paper by the amount of training."
+        "learned, costs more than it gains: both differences come from the amount of training."
     )
     columns = ("variant", *HEADINGS, *(f"paper {column}" for column in reported_columns))
     return Outcome(text, (Table(columns, tuple(rows)),))
@@ -119,10 +119,9 @@ def sparse_angles(study: Study) -> Outcome:
     )
     text = (
         "One talker, error in degrees of networks whose training held only directions that are "
-        "multiples of 1, 5 or 10 degrees (the symmetries of the array and, for the steered "
-        "networks, turns of array and labels are left on; the paper turns them off). At the scale "
-        "`small` NeuralMUSIC's row tells how far an unfinished training happened to come, not of "
-        "directions."
+        "multiples of 1, 5 or 10 degrees. The array's symmetries and, for steered networks, turns "
+        "of array and labels stay on; the paper turns them off. At the scale `small` NeuralMUSIC's "
+        "row reflects how far an unfinished training came, not the directions."
     )
     columns = ("method", "all", "5°", "10°", "paper 5°", "paper 10°")
     return Outcome(text, (Table(columns, rows),))
@@ -147,15 +146,15 @@ def transfer(study: Study) -> Outcome:
         one_shot = after.get(each.label, [None] * len(cells))
         rows.append((title(each.label), *zero_shot, *one_shot, *(reported.get(p) for p in cells)))
     text = (
-        "One talker, error in degrees in places that training has not seen, and after fine-tuning "
+        "One talker, error in degrees in places outside the training, and after fine-tuning "
         f"on one labelled scene for each of {study.scale.labelled_directions} directions there. "
         "Room B: 5 x 4 x 2.8 m, RT60 0.35 s; room C: 10 x 8 x 3.5 m, RT60 0.6 s, both with the "
         "array of the training. Array B: a ring of four microphones, radius 50 mm; array C: an "
         "irregular one, 9 cm across (`docs/results.json` has its positions), both in the room of "
         "the training. The paper does not say what its B and C are. Array B is turned by 45 "
-        "degrees against the array of the training, and by that much do networks err that know no "
-        "steering vectors; the others know where the microphones are, but most have learned to "
-        "make covariances of the one array only. `any-array` was trained on none of these arrays."
+        "degrees against the array of the training, and networks without steering vectors err by "
+        "that much; the others know the microphones' positions, but most have learned covariances "
+        "of the one array only. `any-array` was trained on none of these arrays."
     )
     columns = ("method", *cells, *(f"{p}, tuned" for p in cells), *(f"paper {p}" for p in cells))
     return Outcome(text, (Table(columns, tuple(rows)),))
@@ -173,7 +172,8 @@ def line(study: Study) -> Outcome:
     )
     text = (
         "Four microphones on a line, 40 mm apart, in the paper's room: Root-MUSIC has no meaning "
-        "on other arrays. Front and back are one to a line, in the truth as in the answers."
+        "on other arrays. A line cannot tell front from back: truth and estimates are mapped to "
+        "one side of it."
     )
     return Outcome(text, (Table(("method", "M=1", "M=2"), rows),))
 
@@ -187,7 +187,7 @@ def _mean(found: Mapping[Cell, Scores], cells: Sequence[Cell], score: str) -> fl
 
 
 def _parameters(study: Study, contender: Contender) -> str:
-    """As trained, which at a small scale may be narrower than cited."""
+    """Number of parameters as trained, at a small scale possibly narrower than cited."""
     training = contender.training
     if training is None:
         return "–" if contender.counts else "0"
@@ -196,7 +196,7 @@ def _parameters(study: Study, contender: Contender) -> str:
 
 
 def _recordings_table() -> Table:
-    """What the paper reports on recordings; ours need the datasets (docs/datasets.md)."""
+    """Errors that the paper reports on recordings; ours need the data sets (docs/datasets.md)."""
     columns = ("AV16.3 M=1", "AV16.3 M=2", "SLoClas", "AFPILD")
     rows = tuple(
         (cards()[name].title, *(paper.RECORDINGS[name].get(column) for column in columns))

@@ -14,38 +14,41 @@ import torch
 from torch import nn
 
 from model_export.baselines.network import BaselineNetwork, Truth
-from model_export.experiments.augmentation import sometimes_noisy, symmetries
+from model_export.experiments.augmentation import sometimes_noisy
 from model_export.experiments.scene_set import SceneSet
 from model_export.simulation.scenes import Scene
+from model_export.simulation.symmetry import Symmetry, symmetries
 from model_export.training.config import PAPER_SSCL
 from model_export.training.fitting import Fitting, checkpoint
 from model_export.training.sscl import SsclTask, collate_masked
 from service.doa.types import FloatArray
 
 Track = Literal["cited", "matched"]
-"""As published, with its own features; or with our input, targets and count branch"""
+"""Track: as published with its own features, or with our input, targets and count branch"""
 
+SSCL = replace(PAPER_SSCL, smooth_kernels=0, pool_first=False, level_exponent=0.0)
+"""The self-supervised stage on the features and the plain parameters of the matched track"""
 TUNING_RATE = 0.3
-"""Of the learning rate: fine-tuning keeps what the first training has found"""
+"""Factor of the learning rate in fine-tuning, which is to keep the first training's result"""
 CHECKPOINT_STEPS = 50
 
 
 @dataclass(frozen=True, slots=True)
 class Training:
-    """What is trained on what; equal trainings are done once."""
+    """A network and its training data; equal trainings are done once."""
 
     method: str
     track: Track = "matched"
     scenes: str = "train"
     """Name of the scene set"""
     share: float = 1.0
-    """Of the scene set, drawn at random"""
+    """Share of the scene set, drawn at random"""
     pretrained: bool = False
     """Whether the encoder comes from self-supervised learning on the whole scene set"""
     attention: bool = True
-    """Whether frequencies are weighed (FAF) or count alike"""
+    """Whether frequencies are weighted (FAF) or count alike"""
     tuned_to: str | None = None
-    """Scene set of a fine-tuning after the training"""
+    """Name of the scene set of a fine-tuning after the training"""
 
     @property
     def key(self) -> str:
@@ -59,16 +62,16 @@ class Training:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """How long a network is trained."""
+    """Length and learning rate of a training."""
 
     epochs: int
     batch_size: int
     rate: float = 1.0
-    """Of the network's own learning rate"""
+    """Factor of the network's own learning rate"""
 
 
 Progress = Callable[[int, int, float], None]
-"""Told the step, the number of steps and the running loss"""
+"""Called with the step, the number of steps and the running loss"""
 
 
 def fit(
@@ -80,23 +83,23 @@ def fit(
     progress: Progress,
     device: str = "cpu",
 ) -> BaselineNetwork:
-    """Train on a scene set, going on where the run's checkpoint stopped.
+    """Train on a scene set, from the run's checkpoint if there is one.
 
-    The seed and the step decide every batch, so that an interrupted training ends like a whole one
-    but for the optimizer's rounding.
+    Every batch depends only on the seed and the step, so an interrupted training ends like a whole
+    one, except for the optimizer's rounding.
     """
     per_epoch = max(1, len(scenes) // budget.batch_size)
     steps = budget.epochs * per_epoch
     network.to(device)
     fitting = _Curve(network, network.learning_rate * budget.rate, steps, run)
-    turns = symmetries(scenes.array)
+    views = symmetries(scenes.array)
     network.train()
     while fitting.step < steps:
         epoch, place = divmod(fitting.step, per_epoch)
         order = np.random.default_rng([seed, epoch]).permutation(len(scenes))
         chosen = order[place * budget.batch_size : (place + 1) * budget.batch_size]
         rng = np.random.default_rng([seed, 1, fitting.step])
-        audio, truth = _batch(rng, scenes, chosen, turns)
+        audio, truth = _batch(rng, scenes, chosen, views)
         array = scenes.array
         if network.steered:
             turn = float(rng.uniform(0, 2 * np.pi))
@@ -112,12 +115,12 @@ def fit(
 def pretrain(
     scenes: SceneSet, budget: Budget, run: Path, seed: int, progress: Progress, device: str = "cpu"
 ) -> None:
-    """The self-supervised stage on a scene set without its labels, left in the run's checkpoint."""
-    task = SsclTask(PAPER_SSCL, scenes.array)
+    """Run the self-supervised stage on a scene set without labels; the run keeps a checkpoint."""
+    task = SsclTask(SSCL, scenes.array)
     task.model.to(device).train()
     size = min(budget.batch_size, len(scenes))
     steps = budget.epochs * max(1, len(scenes) // size)
-    fitting = _Curve(task.model, PAPER_SSCL.learning_rate * budget.rate, steps, run)
+    fitting = _Curve(task.model, SSCL.learning_rate * budget.rate, steps, run)
     while fitting.step < steps:
         rng = np.random.default_rng([seed, 2, fitting.step])
         chosen = np.sort(rng.choice(len(scenes), size, replace=False))
@@ -133,7 +136,7 @@ def parameters(run: Path) -> dict[str, torch.Tensor]:
 
 
 class _Curve:
-    """A run's fitting with its running loss, kept where a checkpoint is."""
+    """A run's fitting and its running loss, saved with every checkpoint."""
 
     def __init__(self, model: nn.Module, rate: float, steps: int, run: Path) -> None:
         run.mkdir(parents=True, exist_ok=True)
@@ -150,19 +153,19 @@ class _Curve:
         return self._fitting.step
 
     def optimize(self, loss: torch.Tensor) -> None:
-        """One step; now and then a checkpoint, always at the end."""
+        """One step; a checkpoint every ``CHECKPOINT_STEPS`` and at the end."""
         self._fitting.optimize(loss)
         value = float(loss.detach())
         self.running = value if math.isnan(self.running) else 0.95 * self.running + 0.05 * value
         if self.step % CHECKPOINT_STEPS == 0 or self.step == self._steps:
             self._points.append({"step": self.step, "loss": self.running})
-            # The curve first: a checkpoint without its point could not go on.
+            # The curve is saved first: a checkpoint without its point could not be continued.
             self._path.write_text(json.dumps(self._points) + "\n")
             self._fitting.save()
 
 
 def describe(run: Path, training: Training, budget: Budget) -> None:
-    """Write down what a run is.
+    """Write a run's description, ``training.json``.
 
     Raises
     ------
@@ -182,15 +185,15 @@ def _batch(
     rng: np.random.Generator,
     scenes: SceneSet,
     chosen: np.ndarray[Any, Any],
-    turns: list[tuple[Any, float]],
+    views: list[Symmetry],
 ) -> tuple[FloatArray, Truth]:
-    """Noisy windows (B, N, T), each seen from one of the array's symmetric sides, and the truth."""
+    """Noisy windows (B, N, T), each under a random symmetry of the array, and the truth."""
     audio = scenes.audio[np.sort(chosen)].astype(np.float32)
     azimuth = scenes.azimuth[np.sort(chosen)].astype(np.float32).copy()
     for index in range(len(audio)):
-        permutation, turn = turns[int(rng.integers(len(turns)))]
-        audio[index] = audio[index][permutation]
-        azimuth[index] += np.float32(turn)
+        view = views[int(rng.integers(len(views)))]
+        audio[index] = audio[index][view.permutation]
+        azimuth[index] = view.azimuth(azimuth[index])
     mask = np.isfinite(azimuth)
     truth = Truth(torch.from_numpy(np.where(mask, azimuth, 0)), torch.from_numpy(mask))
     return sometimes_noisy(rng, audio), truth

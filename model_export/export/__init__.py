@@ -1,1 +1,1 @@
-"""From a trained run to a bundle: ONNX graphs, parity, manifest."""
+"""Export of a trained run to a bundle: ONNX graphs, parity, manifest."""

@@ -1,9 +1,9 @@
-"""From trained networks to a bundle: ONNX graphs, fusion parameters, golden self-test, parity.
+"""Export of trained networks to a bundle: ONNX graphs, fusion, golden self-test, parity.
 
-The graphs take and give real tensors with a dynamic batch axis; everything complex happens in
-numpy. Parity is measured on the fused spectra, from the same audio, between the torch pipeline and
-the localizer that serves (onnxruntime and numpy), and a bundle that exceeds the bound is not
-written.
+Inputs and outputs of the graphs are real tensors with a dynamic batch axis; all complex arithmetic
+is numpy's. Parity is the largest difference of the fused spectra of the same audio between the
+torch pipeline and the service's localizer (onnxruntime and numpy); a bundle that exceeds the bound
+is not written.
 """
 
 from __future__ import annotations
@@ -55,17 +55,17 @@ GRAPH_FILES = {
     "covariance_stream": COVARIANCE_STREAM,
 }
 CARDS = Path(__file__).parents[2] / "docs" / "models"
-"""Model cards, ``<name>.md``"""
+"""Folder of the model cards, ``<name>.md``"""
 GOLDEN_ROOM = RoomSpec((5.0, 4.0, 2.8), (2.3, 1.9, 1.1), rt60=0.3)
 
 
 @dataclass(frozen=True, slots=True)
 class ExportGraph:
-    """A network and what its ONNX graph is called and takes."""
+    """A network with the inputs, outputs and axes of its ONNX graph."""
 
     network: nn.Module
     examples: tuple[torch.Tensor, ...]
-    """The features and, for a stream, its states, which the network takes as further arguments"""
+    """Example inputs: the features and, for a stream, its states as further arguments"""
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     dynamic: tuple[Mapping[int, str], ...]
@@ -73,13 +73,13 @@ class ExportGraph:
 
 
 def export_onnx(graph: ExportGraph, path: Path) -> Graph:
-    """Write one ONNX file and give its contract."""
+    """Write one ONNX file and return its contract."""
     graph.network.eval()
     names = {name for axes in graph.dynamic for name in axes.values()}
     dims = {name: torch.export.Dim(name, min=1, max=65536) for name in names}
     shapes = [{axis: dims[name] for axis, name in axes.items()} for axes in graph.dynamic]
     states = [tuple(shapes[1:])] if len(shapes) > 1 else []  # the arguments behind a star
-    # The exporter warns of its own internals and of libraries that it does not need.
+    # The exporter warns about its own internals and about libraries that it does not need.
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -100,7 +100,7 @@ def export_onnx(graph: ExportGraph, path: Path) -> Graph:
 
 
 def strip_metadata(path: Path) -> None:
-    """Drop the exporter's stack traces from a graph: they hold the paths of the machine."""
+    """Remove the exporter's stack traces from a graph: they hold the machine's paths."""
     model = onnx.load(path)
     graph = model.graph
     for part in (model, graph, *graph.node, *graph.value_info, *graph.input, *graph.output):
@@ -112,7 +112,7 @@ def strip_metadata(path: Path) -> None:
 
 
 def _contract(path: Path) -> Graph:
-    """Names and shapes as the file has them."""
+    """Names and shapes of the file's inputs and outputs."""
     model = onnx.load(path)
 
     def tensors(nodes: Any) -> list[Tensor]:
@@ -128,14 +128,14 @@ def _contract(path: Path) -> Graph:
 
 
 def golden_windows(array: MicrophoneArray, count: int = 1, seed: int = 2026) -> FloatArray:
-    """(B, N, T) float32 windows of synthetic speech in a small room; free of any corpus."""
+    """Windows (B, N, T) float32 of synthetic speech in a small room, without any corpus."""
     rng = np.random.default_rng(seed)
     voices = [synthetic_voice(rng, 1.2) for _ in range(4)]
     protocol = SceneProtocol(num_sources=1, room=GOLDEN_ROOM, snr_db=20.0, distance=(0.6, 1.5))
     scenes = [
         simulate_scene(protocol, voices, [seed, index], array=array).audio for index in range(count)
     ]
-    # 16-bit values compress, and every machine reads the same numbers back.
+    # 16-bit values compress well, and every machine reads back the same numbers.
     return np.stack([np.round(0.1 * s * 32768) / 32768 for s in scenes]).astype(np.float32)
 
 
@@ -156,19 +156,21 @@ def write_bundle(
     fields : mapping
         The manifest's descriptive fields.
     graphs : mapping of str to ExportGraph
-        By the manifest's fields; ``covariance_stream`` may be missing.
-    parameters : mapping
+        Graphs by the manifest's fields; ``covariance_stream`` may be missing.
+        fusion : mapping
+            Arrays of the file ``FUSION``, the trained parameters outside of the graphs.
+        parameters : mapping
         The training model's tensors (``parameters.parameter_arrays``), which fine-tuning reads.
     reference : sequence of (A,) float32
         The torch pipeline's fused spectra of ``windows``.
     windows : (B, N, T) float32
     array : MicrophoneArray
-        Of the windows.
+        Array of the windows.
 
     Raises
     ------
     ValueError
-        If the served spectra differ from the reference by more than ``MAX_PARITY``.
+        If the service's spectra differ from the reference by more than ``MAX_PARITY``.
     """
     folder.mkdir(parents=True, exist_ok=True)
     contracts = {name: export_onnx(g, folder / GRAPH_FILES[name]) for name, g in graphs.items()}
@@ -183,7 +185,9 @@ def write_bundle(
     served = [estimate.spectrum for estimate in localizer.estimate(windows, 1, 1)]
     difference = max(float(np.abs(s - r).max()) for s, r in zip(served, reference, strict=True))
     if difference > MAX_PARITY:
-        raise ValueError(f"torch and onnxruntime with numpy differ by {difference:.2g}")
+        raise ValueError(
+            f"torch and onnxruntime with numpy differ by {difference:.2g}, above {MAX_PARITY:g}"
+        )
     golden["spectra"] = np.stack(served[:1]).astype(np.float32)
     np.savez_compressed(folder / GOLDEN, **golden)  # type: ignore[arg-type]
     parity = {
@@ -198,7 +202,7 @@ def write_bundle(
 
 
 def stft_section(frames: int) -> dict[str, int]:
-    """The manifest's ``stft`` of networks trained on windows of ``frames`` frames."""
+    """The manifest's ``stft`` for networks trained on windows of ``frames`` frames."""
     return {
         "sample_rate": STFT.sample_rate,
         "n_fft": STFT.n_fft,
@@ -215,7 +219,7 @@ def copy_card(folder: Path, name: str, cards: Path = CARDS) -> None:
 
 
 def update_scores(folder: Path, scores: Mapping[str, Any]) -> None:
-    """Put an evaluation's scores into a bundle's manifest, and its card as it is now."""
+    """Put an evaluation's scores into a bundle's manifest, and renew its card."""
     fields = json.loads((folder / MANIFEST).read_text())
     copy_card(folder, fields["name"])
     _write_manifest(folder, {**fields, "scores": dict(scores)})

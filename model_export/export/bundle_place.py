@@ -1,4 +1,4 @@
-"""Where a new bundle is to be: it appears there whole or not at all, and nothing else is lost."""
+"""The place of a new bundle: it appears whole or not at all, and no foreign file is lost."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def check_replaceable(out: Path) -> None:
     if not out.exists():
         return
     if not out.is_dir():
-        raise ValueError(f"{out} is no folder: name one for the bundle")
+        raise ValueError(f"{out} is no folder: name a folder for the bundle")
     held = {path.name for path in out.iterdir()}
     foreign = (
         sorted(held - {MANIFEST, *FILES, *OPTIONAL_FILES}) if MANIFEST in held else sorted(held)

@@ -1,9 +1,9 @@
-"""The training model inside of a bundle, ``parameters.npz``: what fine-tuning starts from.
+"""The trained model inside a bundle, ``parameters.npz``, from which fine-tuning starts.
 
 The ONNX graphs cannot be trained further, and users have no run folder. The file holds every
-tensor of the trained networks under its ``state_dict`` name behind ``model.`` or
-``source_count.``, BatchNorm's statistics included; which networks they belong to follows from the
-training configuration in the manifest.
+tensor of the trained networks, BatchNorm's statistics included, under its ``state_dict`` name with
+the prefix ``model.`` or ``source_count.``; the training configuration in the manifest determines
+the networks.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from torch import nn
 
 from model_export.training.config import TrainingConfig
 from model_export.training.counting import CandidateCountNetwork
+from model_export.training.reparametrize import merge
 from model_export.training.task import Task
 from model_export.training.variants import task_of
 from service.doa.types import FloatArray
@@ -26,12 +27,12 @@ from service.inference.bundle import PARAMETERS, Bundle, read_arrays
 
 @dataclass(frozen=True, slots=True)
 class TrainedModel:
-    """A bundle's networks as training has them, in evaluation mode."""
+    """A bundle's networks with the text's parameters, in evaluation mode."""
 
     config: TrainingConfig
     task: Task[Any]
     source_count: CandidateCountNetwork | None
-    """Of the `weights` variant; `regression` counts inside of its model"""
+    """Source count of the `weights` variant; None for `regression`, whose model counts itself"""
 
 
 def parameter_arrays(**networks: nn.Module) -> dict[str, FloatArray]:
@@ -44,24 +45,25 @@ def parameter_arrays(**networks: nn.Module) -> dict[str, FloatArray]:
 
 
 def trained_model(bundle: Bundle) -> TrainedModel:
-    """The model that a bundle was exported from.
+    """Load the model that a bundle was exported from.
 
     Raises
     ------
     ValueError
-        If the bundle holds no parameters, or those of networks that this version does not build.
+        If the bundle holds no parameters, or they do not fit this version's networks.
     """
     manifest = bundle.manifest
     if PARAMETERS not in manifest.files:
         raise ValueError(
-            f"the bundle {manifest.name} holds no {PARAMETERS} and cannot be fine-tuned: it was "
-            "exported before there was one; export its run again, or take a newer bundle"
+            f"the bundle {manifest.name} holds no {PARAMETERS} and cannot be fine-tuned: export "
+            "its run again, or use a newer bundle"
         )
     path = bundle.folder / PARAMETERS
     arrays = read_arrays(path.read_bytes(), path)
     try:
         config = TrainingConfig.from_dict(manifest.training["config"])
         task = task_of(config)
+        merge(task.model)
         _load(task.model, "model", arrays)
         source_count = None
         if config.variant == "weights":
@@ -76,7 +78,7 @@ def trained_model(bundle: Bundle) -> TrainedModel:
 
 
 def source_count_of(folder: Path) -> CandidateCountNetwork:
-    """The source-count network of a `weights` bundle, whatever its other networks are.
+    """Load the source-count network of a `weights` bundle.
 
     Raises
     ------

@@ -45,6 +45,7 @@ def export_regression(task: RegressionTask, folder: Path, fields: Mapping[str, A
             "grid_size": GRID_SIZE,
             "first_bin": 0,
             "num_bins": NUM_BINS,
+            "level_exponent": task.config.level_exponent,
             "max_sources": MAX_SOURCES,
         },
         {
@@ -61,7 +62,7 @@ def export_regression(task: RegressionTask, folder: Path, fields: Mapping[str, A
             "excite": pipeline.fusion.excite.weight.detach().numpy(),
         },
         parameter_arrays(model=pipeline),
-        list(reference_spectra(pipeline, windows, array)),
+        list(reference_spectra(pipeline, windows, array, task.config.level_exponent)),
         windows,
         array,
     )
@@ -69,13 +70,16 @@ def export_regression(task: RegressionTask, folder: Path, fields: Mapping[str, A
 
 @torch.no_grad()
 def reference_spectra(
-    pipeline: RegressionPipeline, windows: FloatArray, array: MicrophoneArray
+    pipeline: RegressionPipeline,
+    windows: FloatArray,
+    array: MicrophoneArray,
+    level_exponent: float = 0.0,
 ) -> FloatArray:
     """The torch pipeline's fused spectra (B, A) of windows (B, N, T) with one source each."""
     delays = steering_delays(array.positions[None], azimuth_grid(GRID_SIZE))
     frequencies = torch.from_numpy(STFT.frequencies).float()
     products = delay_products(torch.from_numpy(delays), frequencies)[0]
-    features = spectrogram_features(STFT.transform(windows))
+    features = spectrogram_features(STFT.transform(windows), level_exponent=level_exponent)
     ones = torch.ones(len(windows), dtype=torch.long)
     fused: FloatArray = pipeline(torch.from_numpy(features), products, ones).fused.numpy()
     return np.asarray(fused)

@@ -1,4 +1,4 @@
-"""From a run folder to a bundle: which variant it is, the source count, the training record."""
+"""Export of a run folder to a bundle: its variant, the source count, the training record."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def export_run(
     *,
     name: str | None,
     version: str,
-    rooms: Path,
+    rooms: Path | None,
     speech: Sequence[FloatArray],
     validation_speech: Sequence[FloatArray],
     counting_scenes: int,
@@ -42,17 +42,18 @@ def export_run(
     data: Sequence[str],
     licences: Sequence[str],
 ) -> Manifest:
-    """Export the run's checkpoint as a bundle; a `weights` run gets its source count first.
+    """Export the run's checkpoint as a bundle, after training a `weights` run's source count.
 
-    ``source_count`` is the folder of a bundle whose source count is taken instead: that of the
-    teacher, for a run that was taught to give the same candidates. ``out`` may hold a bundle, which
-    is replaced once the new one has passed its tests.
+    ``rooms`` is the folder of the room bank on which the source count is trained, if it is.
+    ``source_count`` is the folder of a bundle whose source count is used instead: the teacher's,
+    for a distilled run, which gives the same candidates. ``out`` may hold a bundle, which is
+    replaced once the new one has passed its tests.
 
     Raises
     ------
     ValueError
-        If ``out`` holds anything else, the run cannot be exported, or the exported networks do not
-        give what the trained ones do.
+        If ``out`` holds anything else, the run cannot be exported, or the exported networks differ
+        from the trained ones.
     """
     check_replaceable(out)
     config, task, step = load_run(run)
@@ -81,6 +82,8 @@ def export_run(
         network = source_count_of(source_count)
         training["counting_from"] = read_manifest(source_count)[0].training["parameters"]
     else:
+        if rooms is None:
+            raise ValueError("the source count is trained in a room bank: name it with --rooms")
         network, scores = _count_sources(
             task, rooms, speech, validation_speech, noises, counting_scenes, config.seed
         )

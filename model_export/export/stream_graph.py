@@ -1,10 +1,10 @@
-"""The weights network over a stream: each frame's convolutions once, what they need later as state.
+"""The weights network over a stream: past frames are kept as state and not computed again.
 
-Every convolution of the trunk looks one frame ahead. So behind k of them the newest k frames are
-provisional: they saw zeros in the place of their future, as a window's last frames do. Every block
-keeps the final frames that it reaches back to and computes the provisional ones again in the next
-step, now for good. Weights and attentions come out for the new frames and for those that were
-provisional in the step before.
+Every convolution of the trunk looks one frame ahead. Behind k of them the newest k frames are
+therefore provisional: zeros stood for their future, as for a window's last frames. Every block
+keeps the final frames that it reaches back to, and computes the provisional ones again, finally, in
+the next step. Each step outputs weights and attentions of the new frames and of the last step's
+provisional ones.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ class StreamingWeightsNetwork(nn.Module):
         ----------
         features : (B, 5, L, F)
         state : sequence of Tensor
-            As ``initial_state`` gives them: what every convolution has to see again.
+            States in the order of ``initial_state``: past frames that each convolution needs again.
         """
         queue = deque(state)
         following: list[Tensor] = []
 
         def behind(hidden: Tensor, provisional: int) -> Tensor:
-            """The kept frames and the new ones; the next step gets as many that are final."""
+            """Join kept and new frames; keep as many final frames for the next step."""
             kept = queue.popleft()
             joined = torch.cat([kept, hidden], 2)
             end = joined.shape[2] - provisional
@@ -73,7 +73,7 @@ class StreamingWeightsNetwork(nn.Module):
         return (weights, attention, *following)
 
     def initial_state(self, batch: int, bins: int) -> dict[str, Tensor]:
-        """Zeros, before the stream begins, by the state's name."""
+        """States at the start of a stream, zeros, by name."""
         state = {}
         width = bins
         for index, block in enumerate(self.network.blocks):
@@ -90,7 +90,7 @@ class StreamingWeightsNetwork(nn.Module):
 
 
 def stream_graph(network: WeightsNetwork, bins: int) -> ExportGraph:
-    """Features and state to weights, attentions and the next state."""
+    """Graph from features and state to weights, attentions and the next state."""
     streaming = StreamingWeightsNetwork(network)
     features = torch.zeros(2, NUM_FEATURES, STEP_FRAMES, bins)
     state = streaming.initial_state(2, bins)

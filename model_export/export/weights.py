@@ -82,7 +82,7 @@ def export_weights(
 
 
 def covariance_graph(pipeline: WeightsPipeline) -> ExportGraph:
-    """Features to weights and attentions, for any number of windows and frames."""
+    """Graph from features to weights and attentions, for any number of windows and frames."""
     return ExportGraph(
         pipeline.network,
         (torch.zeros(2, NUM_FEATURES, FRAMES, STFT.num_bins - FIRST_BIN),),
@@ -93,7 +93,7 @@ def covariance_graph(pipeline: WeightsPipeline) -> ExportGraph:
 
 
 def count_graph(network: CandidateCountNetwork) -> ExportGraph:
-    """Candidates' descriptors to counts and confidences."""
+    """Graph from candidates' descriptors to logits of counts and confidences."""
     return ExportGraph(
         network,
         (torch.zeros(2, NUM_CANDIDATES, NUM_DESCRIPTORS),),
@@ -104,7 +104,7 @@ def count_graph(network: CandidateCountNetwork) -> ExportGraph:
 
 
 def analysis_of(pipeline: WeightsPipeline) -> Analysis:
-    """The search's parameters as the trained pipeline has them."""
+    """The search's parameters, from the trained pipeline."""
     return Analysis(
         stft=STFT,
         first_bin=FIRST_BIN,
@@ -120,7 +120,7 @@ def analysis_of(pipeline: WeightsPipeline) -> Analysis:
 def candidate_search(
     pipeline: WeightsPipeline, folder: Path
 ) -> Callable[[MicrophoneArray], CandidateSearch]:
-    """The search that serves, before there is a count network to make a bundle with."""
+    """The service's candidate search, for a pipeline without a source count and bundle."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "covariance.onnx"
     export_onnx(covariance_graph(pipeline), path)

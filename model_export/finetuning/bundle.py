@@ -1,4 +1,4 @@
-"""From a fine-tuned model to a bundle: what it came from, what it learned from, its own scores."""
+"""Export of a fine-tuned model to a bundle that records its origin and its recordings."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from service.inference.manifest import Manifest
 def export_finetuned(
     model: TrainedModel, start: Manifest, out: Path, name: str, record: Mapping[str, Any]
 ) -> Manifest:
-    """Write the bundle; ``start`` is the manifest of the one that was fine-tuned."""
+    """Write the bundle; ``start`` is the manifest of the bundle that was fine-tuned."""
     parameters = start.training["parameters"]
     origin = {"name": start.name, "version": start.version, "parameters": parameters}
     earlier = start.training.get("fine_tuning")
@@ -36,7 +36,7 @@ def export_finetuned(
         "description": f"{start.name} {start.version}, fine-tuned on {record['recordings']} "
         f"recordings of {record['array']['name']}.",
         "training": training,
-        "scores": {},  # they were the old parameters'
+        "scores": {},  # the old ones belong to other parameters
         "licences": list(dict.fromkeys([*start.licences, "the user's own recordings"])),
     }
     if isinstance(model.task, RegressionTask):
@@ -53,9 +53,9 @@ def fine_tuning_record(
     *,
     simulated: bool,
 ) -> dict[str, Any]:
-    """What the manifest's ``training["fine_tuning"]`` says of the recordings and the settings.
+    """Record of recordings and settings for the manifest's ``training["fine_tuning"]``.
 
-    ``simulated`` tells whether simulated scenes were mixed in.
+    ``simulated`` says whether simulated scenes were mixed in.
     """
     samples = sum(recording.audio.shape[1] for recording in recordings)
     return {

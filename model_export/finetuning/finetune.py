@@ -1,10 +1,10 @@
 """Fine-tuning of a bundle on labelled recordings of one room and one array.
 
-For a `weights` bundle the positions of the microphones are found and, if asked for, the whole
+For a `weights` bundle the positions of the microphones are calibrated and, if asked for, the whole
 network is trained; for a `regression` bundle the encoder and the covariance regressor are trained
-(Yang et al. freeze the rest as well). BatchNorm's statistics and the source count stay as they are,
-recordings being far too few to estimate them. What the service answers to held-out directions,
-before and after, decides whether there is a new bundle.
+(Yang et al. freeze the rest as well). BatchNorm's statistics and the source count are frozen, as
+recordings are far too few to estimate them. A new bundle is kept only if the service localizes
+held-out directions better with it.
 """
 
 from __future__ import annotations
@@ -47,29 +47,30 @@ from service.inference.bundle import Bundle, load_bundle
 from service.inference.manifest import NAME_PATTERN
 
 ARRAY = "array.json"
-"""The calibrated array beside a bundle's files, as ``--array @FILE`` and requests take it"""
+"""File of the calibrated array beside a bundle's, for ``--array @FILE`` and for requests"""
 
 LEARNING_RATES = {"weights": 0.0, "regression": 1e-4}
-"""Training the any-array network, too, was once worse and once better than finding the positions
-alone (docs/finetuning.md), which cannot forget; the paper's has no other way to learn an array"""
+"""Default learning rates of the networks. Calibrating the positions alone cannot forget, and
+training the any-array network besides is no sure gain (docs/finetuning.md); the paper's network has
+no other way to learn an array."""
 
 
 @dataclass(frozen=True, slots=True)
 class FineTuning:
-    """How a bundle is fine-tuned."""
+    """Settings of a fine-tuning."""
 
     steps: int = 100
     batch_size: int = 16
     """Scenes per step"""
     learning_rate: float | None = None
-    """Of the network, at the start; it falls to zero along a cosine. 0 leaves the network as it is,
-    None is the variant's of ``LEARNING_RATES``"""
+    """Initial learning rate of the network, with a cosine schedule to zero; 0 freezes the network,
+    None takes the variant's in ``LEARNING_RATES``"""
     calibration_rate: float = 2e-4
-    """Of the microphones' positions: metres per step, about"""
+    """Learning rate of the microphones' positions, about metres per step"""
     validation_share: float = 0.2
     """Share of the directions that are held out"""
     simulated: float = 0.25
-    """Share of the steps on simulated rooms, where there are any"""
+    """Share of the steps on simulated rooms, if a room bank is given"""
     augmentation: Augmentation = field(default_factory=Augmentation)
     seed: int = 1
 
@@ -82,16 +83,16 @@ class FineTuning:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What fine-tuning gave."""
+    """Result of fine-tuning."""
 
     array: MicrophoneArray
-    """Calibrated, where the variant works on any array"""
+    """Array, calibrated if the variant works on any array"""
     before: Scores
     after: Scores
 
     @property
     def better(self) -> bool:
-        """True where the held-out windows as recorded have a smaller error than before."""
+        """Whether fine-tuning made the error on held-out windows, as recorded, smaller."""
         return self.after[AS_RECORDED]["maae_deg"] < self.before[AS_RECORDED]["maae_deg"]
 
 
@@ -107,28 +108,28 @@ def finetune(
     speech: Sequence[FloatArray] = (),
     test: Sequence[LabelledRecording] = (),
 ) -> Outcome:
-    """Fine-tune a bundle and write the result to ``out``, whatever it scores.
+    """Fine-tune a bundle and write the result to ``out``, better or not.
 
-    A `weights` bundle comes with the calibrated array, ``array.json``, which it is scored with.
+    Beside a `weights` bundle stands the calibrated array, ``array.json``, which scores it.
 
     Parameters
     ----------
     name : str, optional
-        Of the new bundle; by default the old one's with ``-finetuned``.
-    bank : RoomBank, optional
-        Of simulated rooms with ``speech`` in them, against forgetting all rooms but one.
-    test : sequence of LabelledRecording
-        Further recordings that only score.
+        Name of the new bundle; by default the old one's with ``-finetuned``.
+        bank : RoomBank, optional
+            Simulated rooms for scenes of ``speech``, which keep the network from forgetting rooms.
+        test : sequence of LabelledRecording
+            Further recordings, for scores only.
 
     Raises
     ------
     ValueError
-        If the bundle cannot be fine-tuned, the name is none for a bundle, or the recordings are
-        of too few directions.
+        If the bundle cannot be fine-tuned, the name is invalid, or the recordings have too few
+        directions.
     """
     name = name or f"{bundle.manifest.name.removesuffix('-finetuned')}-finetuned"
     if not re.fullmatch(NAME_PATTERN, name):
-        raise ValueError(f"{name!r} is no name for a bundle: use a-z, 0-9, '.', '_' and '-'")
+        raise ValueError(f"{name!r} cannot name a bundle: use a-z, 0-9, '.', '_' and '-'")
     if not bundle.fits(array):
         raise ValueError(f"the bundle {bundle.manifest.name} is bound to another array")
     model = trained_model(bundle)
@@ -165,9 +166,9 @@ def train(
     Returns
     -------
     losses : list of float
-        Of every step.
-    array : MicrophoneArray
-        Calibrated; the one given for the `regression` variant, whose network learns it.
+        Loss of every step.
+        array : MicrophoneArray
+            Calibrated array; for the `regression` variant, whose network learns it, the given one.
     """
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng([settings.seed, 2])
@@ -221,9 +222,9 @@ def learning_rate(model: TrainedModel, settings: FineTuning) -> float:
 
 
 def trained_parameters(task: Task[Any], rate: float) -> list[nn.Parameter]:
-    """What fine-tuning changes at a learning rate; everything else no longer asks for gradients.
+    """The network's parameters that fine-tuning trains; all others are frozen.
 
-    At none nothing of the network does, which spares the larger part of every step.
+    A rate of 0 freezes the whole network, which spares the larger part of every step.
     """
     task.model.requires_grad_(False)
     if not rate:
@@ -235,7 +236,7 @@ def trained_parameters(task: Task[Any], rate: float) -> list[nn.Parameter]:
 
 @contextmanager
 def frozen_statistics(model: nn.Module) -> Iterator[None]:
-    """Training mode in all but BatchNorm, which keeps its statistics; evaluation mode after it."""
+    """Training mode with frozen BatchNorm statistics; evaluation mode afterwards."""
     model.train()
     for module in model.modules():
         if isinstance(module, nn.BatchNorm2d):

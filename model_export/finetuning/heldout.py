@@ -1,4 +1,4 @@
-"""Held-out recordings: which ones, and what the service answers to them."""
+"""Held-out recordings: their choice, and the service's scores on them."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ ADDED_NOISE_DB = 0.0
 AS_RECORDED = "as recorded"
 
 Rows = Mapping[str, Sequence[Scene]]
-"""Windows by what they are called in the table"""
+"""Windows by the name of their row in the table"""
 Scores = Mapping[str, Mapping[str, float]]
-"""By row: ``windows``, ``maae_deg`` and so on (``scoring.evaluate``), count known;
-``count_accuracy``, count unknown"""
+"""Scores by row: ``windows``, ``maae_deg`` and so on (``scoring.evaluate``) with the count known,
+``count_accuracy`` with the count unknown"""
 
 
 def hold_out(
     recordings: Sequence[LabelledRecording], share: float
 ) -> tuple[list[LabelledRecording], list[LabelledRecording]]:
-    """Recordings to train on and to score: every k-th direction is held out as a whole.
+    """Split recordings into those to train on and those to score: every k-th direction is held out.
 
-    A direction that was trained on would score what was learned by heart.
+    A direction that was trained on would score memorised recordings.
 
     Raises
     ------
@@ -47,8 +47,8 @@ def hold_out(
     held = set(directions[step // 2 :: step])
     if not held or len(held) == len(directions):
         raise ValueError(
-            f"one direction in {step} is held out to score, and the recordings are of "
-            f"{len(directions)} only: record more directions, or change the validation share"
+            f"one direction in {step} is held out for scores, but the recordings have only "
+            f"{len(directions)}: record more directions, or change --validation-share"
         )
     return (
         [recording for recording in recordings if recording.direction not in held],
@@ -57,7 +57,7 @@ def hold_out(
 
 
 def score_rows(scenes: LabelledScenes, seed: int) -> dict[str, list[Scene]]:
-    """Windows as recorded, with the room's noise added, and of two talkers at once."""
+    """Windows as recorded, windows with the room's noise added, and mixtures of two talkers."""
     rng = np.random.default_rng([seed, 1])
     recorded = scenes.windows(WINDOWS_PER_RECORDING)
     noisy = [scenes.with_noise(rng, scene, ADDED_NOISE_DB) for scene in recorded]
@@ -68,7 +68,7 @@ def score_rows(scenes: LabelledScenes, seed: int) -> dict[str, list[Scene]]:
 
 
 def score(bundle: Bundle, array: MicrophoneArray, rows: Rows) -> Scores:
-    """What the service answers with a bundle: directions with the count known, and the count."""
+    """Score a bundle as the service runs it: directions with the count known, and the count."""
     localizer = localizer_of(bundle, array)
     most = min(DEFAULT_MAX_SOURCES, array.num_microphones - 1)
     scores = {}

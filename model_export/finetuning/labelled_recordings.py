@@ -12,24 +12,24 @@ from rich.progress import track
 from model_export.finetuning.labels import Segment, Talker, read_labels, segments
 from model_export.simulation.scenes import WINDOW_SAMPLES
 from model_export.training.task import STFT
+from neuralmusic.errors import DoaError
 from service.cli.inputs import open_recording, read_channel_map
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics import ChannelDiagnostics, Finding
 from service.doa.diagnostics.levels import decibels
 from service.doa.mirror import into_searched_half
 from service.doa.types import BoolArray, FloatArray, IntArray
-from service.errors import DoaError
 from service.inference.geometry import choose_channels
 from service.inference.results import MAX_SOURCES
 
 FRAME_SAMPLES = 512
-"""Step of the level gate, 32 ms"""
+"""Frame of the level gate, 32 ms"""
 GRAIN_FRAMES = 4
-"""Quiet frames in a row that are long enough to build noise from"""
+"""Number of consecutive quiet frames that make a grain of noise"""
 MIN_CONTRAST = 6.0
-"""dB between loud and quiet frames; less is one steady sound without pauses"""
+"""Least difference in dB of loud and quiet frames; below it the sound is steady, without pauses"""
 GATE_RANGE = 25.0
-"""dB below the loud frames at which a frame is quiet whatever the pauses hold"""
+"""Frames this many dB below the loud ones are never above the gate"""
 MIN_SOUND = 0.15
 """Share of a window's frames that must hold sound: one short word is enough"""
 REFUSED = frozenset({"non_finite", "quiet", "channel_dead", "channels_identical", "clipping"})
@@ -38,14 +38,14 @@ REFUSED = frozenset({"non_finite", "quiet", "channel_dead", "channels_identical"
 
 @dataclass(frozen=True, slots=True)
 class LabelledWindows:
-    """Where windows with the same talkers may begin."""
+    """Starts of windows with the same talkers."""
 
     azimuth: FloatArray
     """(M,) radians"""
     starts: IntArray
-    """Samples, a frame apart; up to ``last`` a window may also begin between them"""
+    """Samples, a frame apart; up to ``last``, windows may also start between them"""
     last: int
-    """Samples, of the segment's last window"""
+    """Start of the segment's last window, in samples"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,11 +54,11 @@ class LabelledRecording:
 
     path: Path
     audio: FloatArray
-    """(N, T) float32 at 16 kHz, channel n being microphone n"""
+    """(N, T) float32 at 16 kHz; channel n is microphone n"""
     windows: tuple[LabelledWindows, ...]
-    """At least one, each with at least one start"""
+    """Windows, at least one group, each with at least one start"""
     quiet: IntArray
-    """Samples at which a grain of ``GRAIN_FRAMES`` quiet frames begins"""
+    """Samples at which a grain of ``GRAIN_FRAMES`` quiet frames starts"""
     warnings: tuple[str, ...]
 
     @property
@@ -75,8 +75,8 @@ def load_recordings(
     Parameters
     ----------
     channel_map : str, optional
-        The recordings' channel of every microphone, as ``1,2,3,4``; by default all channels, or
-        those that the array's firmware is known to deliver.
+        Recording channel of every microphone, such as ``1,2,3,4``; by default all channels, or the
+        known layout of the array's firmware.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def load_recordings(
 def load_recording(
     path: Path, talkers: Sequence[Talker], array: MicrophoneArray, channel_map: str | None = None
 ) -> LabelledRecording:
-    """One recording, resampled as the service does; raises DoaError or ValueError."""
+    """Load one recording, resampled as in the service; raises DoaError or ValueError."""
     with open_recording(path) as recording:
         if recording.channels < array.num_microphones:
             raise ValueError(_too_few(recording.channels, array))
@@ -124,11 +124,11 @@ def load_recording(
 
 
 def level_gate(audio: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """Which frames of ``FRAME_SAMPLES`` hold sound and which are quiet, each (K,) bool.
+    """Whether each frame of ``FRAME_SAMPLES`` holds sound, and whether it is quiet, (K,) bool each.
 
-    The gate lies halfway, in decibels, between the recording's loud and its quiet frames, so that
-    it follows the noise of the room. Frames close above the quiet ones, where reverberation dies
-    away, are neither.
+    The gate lies halfway, in decibels, between the recording's loud and quiet frames, so that it
+    adapts to the room's noise. Frames slightly above the quiet ones, in which reverberation decays,
+    are neither.
     """
     frames = audio.shape[1] // FRAME_SAMPLES
     blocks = audio[:, : frames * FRAME_SAMPLES].reshape(len(audio), frames, FRAME_SAMPLES)
@@ -156,7 +156,7 @@ def _check_segments(found: Sequence[Segment]) -> None:
         )
     most = max(len(segment.azimuth) for segment in found)
     if most > MAX_SOURCES:
-        raise ValueError(f"{most} talkers are labelled at once, at most {MAX_SOURCES} can be")
+        raise ValueError(f"{most} talkers are labelled at once, at most {MAX_SOURCES} are possible")
 
 
 def _check_findings(findings: Sequence[Finding]) -> tuple[str, ...]:
@@ -167,11 +167,11 @@ def _check_findings(findings: Sequence[Finding]) -> tuple[str, ...]:
 
 
 def _windows(segment: Segment, sounding: BoolArray, array: MicrophoneArray) -> LabelledWindows:
-    """The starts inside a segment from which enough of a window holds sound."""
-    # A line cannot tell where behind it somebody stood; what it is to answer is the image before.
+    """Starts of the windows inside a segment that hold enough sound."""
+    # A line cannot tell front from back; the target is the talker's image in front of it.
     azimuth = into_searched_half(array, np.array(segment.azimuth))
     first = int(np.ceil(segment.start * STFT.sample_rate))
-    # The segment's end is the audio's or a label's: rounding must not lose the only window.
+    # A segment ends with the audio or a label's time: rounding must not lose its only window.
     last = round(segment.end * STFT.sample_rate) - WINDOW_SAMPLES
     starts = np.arange(first, last + 1, FRAME_SAMPLES)
     total = np.concatenate([[0], np.cumsum(sounding)])

@@ -1,7 +1,7 @@
-"""Training scenes out of labelled recordings: windows, mixtures and noise of the same room.
+"""Training scenes from labelled recordings: windows, mixtures and noise of the same room.
 
-The sum of two recordings of one array in one room is what the array would have heard of both
-talkers at once, so that recordings of single talkers teach separating them as well.
+The sum of two recordings of one array in one room is a recording of both talkers at once, so
+recordings of single talkers teach the network to separate two.
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ from service.doa.scoring import circular_error
 from service.doa.types import FloatArray
 
 MIN_GRAINS = 4
-"""Fewer quiet places than these make a noise that repeats itself"""
+"""Least number of quiet grains; noise made of fewer repeats itself"""
 
 
 @dataclass(frozen=True, slots=True)
 class Augmentation:
-    """What is done to recorded windows; probabilities unless said otherwise."""
+    """Augmentation of recorded windows."""
 
     mixtures: float = 0.35
-    """A second recording is added"""
+    """Probability of adding a second recording"""
     noise: float = 0.6
+    """Probability of adding noise"""
     snr_db: tuple[float, float] = (-5.0, 25.0)
-    """Of the recorded window, its own noise included, against what is added"""
+    """Range of the SNR of the recorded window, with its own noise, over the added noise"""
 
 
 class LabelledScenes:
@@ -51,7 +52,7 @@ class LabelledScenes:
     def draw(
         self, rng: np.random.Generator, augmentation: Augmentation, config: SceneConfig
     ) -> Scene:
-        """A window at a random place, perhaps with a second talker and with noise."""
+        """Draw a window at a random place, possibly with a second talker and noise."""
         recording = self.recordings[int(rng.integers(len(self.recordings)))]
         windows = recording.windows[int(rng.integers(len(recording.windows)))]
         audio = _cut(recording, windows, _random_start(rng, windows))
@@ -75,7 +76,7 @@ class LabelledScenes:
         return scenes
 
     def mix(self, rng: np.random.Generator, scene: Scene, config: SceneConfig) -> Scene:
-        """The scene with another recording's talker; unchanged where the two are too close."""
+        """Add another recording's talker to the scene, unless the two are too close."""
         if len(scene.azimuth) != 1 or not self._single:
             return scene
         other, windows = self._single[int(rng.integers(len(self._single)))]
@@ -87,7 +88,7 @@ class LabelledScenes:
         return replace(scene, audio=unit_power(scene.audio) + level * added, azimuth=azimuth)
 
     def with_noise(self, rng: np.random.Generator, scene: Scene, snr_db: float) -> Scene:
-        """The scene with sensor noise and, where recordings have pauses, the room's own noise."""
+        """Add sensor noise to the scene and, if recordings have pauses, the room's own noise."""
         audio = scene.audio
         noise = sensor_noise(rng, audio.shape) * np.float32(rng.uniform(0.1, 1))
         if self._noisy:
@@ -100,9 +101,9 @@ class LabelledScenes:
 def room_noise(
     rng: np.random.Generator, recording: LabelledRecording, num_samples: int
 ) -> FloatArray:
-    """(N, num_samples) float32 with the spectrum and the directions of a recording's pauses.
+    """Noise (N, num_samples) float32 with the spectrum and directions of a recording's pauses.
 
-    Overlapping grains of the pauses under sine windows, whose powers add up to one.
+    It overlaps grains of the pauses under sine windows, whose powers add up to one.
     """
     length = GRAIN_FRAMES * FRAME_SAMPLES
     hop = length // 2

@@ -1,4 +1,4 @@
-"""Labels of recordings: who spoke from where, and when, as users write it down.
+"""Labels of recordings: who spoke when, and from where.
 
 ``labels.csv`` beside the recordings has one row per talker,
 
@@ -8,9 +8,9 @@
     both.wav,200,2,6
 
 where the times are optional: a row without them holds for the whole recording. Without a
-``labels.csv`` every recording needs a JSON sidecar of its own name, as ``simulate`` writes them,
+``labels.csv`` every recording needs a JSON sidecar of the same name, such as ``simulate`` writes,
 whose ``azimuth_deg`` is a number or a list. Azimuths are degrees counter-clockwise from the array's
-+x axis, -180 to 360; inside they are radians in [0, 2 pi).
++x axis, -180 to 360; in memory they are radians in [0, 2 pi).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from typing import Any
 LABELS = "labels.csv"
 COLUMNS = ("file", "azimuth_deg", "start_s", "end_s")
 AUDIO_SUFFIXES = frozenset({".wav", ".flac", ".ogg", ".aiff", ".aif", ".caf", ".w64", ".rf64"})
-"""What counts as a recording when a folder is searched for unlabelled ones"""
+"""Suffixes of recordings, used to find unlabelled ones in a folder"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class Segment:
     end: float
     """Seconds"""
     azimuth: tuple[float, ...]
-    """Radians, of every talker"""
+    """Azimuths of the talkers in radians"""
 
 
 def read_labels(folder: Path) -> dict[Path, list[Talker]]:
@@ -60,7 +60,7 @@ def read_labels(folder: Path) -> dict[Path, list[Talker]]:
     Raises
     ------
     FileNotFoundError
-        If the folder does not exist or a label names a recording that does not.
+        If the folder does not exist, or a label names a missing recording.
     ValueError
         If a recording has no label, or a label is wrong; the message names file and line.
     """
@@ -89,13 +89,13 @@ def read_labels(folder: Path) -> dict[Path, list[Talker]]:
 
 
 def segments(talkers: Sequence[Talker], duration: float) -> list[Segment]:
-    """The parts of a recording in which the labelled talkers stay the same, without empty ones.
+    """Parts of a recording with the same labelled talkers, without parts that have none.
 
-    Raises ValueError where a time is beyond the recording's end.
+    Raises ValueError if a time is beyond the recording's end.
     """
     for talker in talkers:
         latest = talker.start if math.isinf(talker.end) else talker.end
-        if latest > duration + 0.1:  # what people read off an editor is rounded
+        if latest > duration + 0.1:  # times read off an editor are rounded
             raise ValueError(
                 f"a label holds until {latest:g} s, but the recording lasts {duration:.2f} s"
             )
@@ -176,7 +176,7 @@ def _read_sidecars(folder: Path, recordings: set[Path]) -> dict[Path, list[Talke
     labels = {}
     for sidecar in sorted(folder.rglob("*.json")):
         azimuths = _sidecar_azimuths(sidecar)
-        # A JSON file of another kind, an array's geometry for one, may lie in the folder.
+        # JSON files of other kinds, such as an array's geometry, may lie in the folder.
         if azimuths is not None:
             path = by_sidecar.get(sidecar, sidecar.with_suffix(".wav"))
             labels[path] = [Talker(_azimuth(str(sidecar), value)) for value in azimuths]
@@ -184,7 +184,7 @@ def _read_sidecars(folder: Path, recordings: set[Path]) -> dict[Path, list[Talke
 
 
 def _sidecar_azimuths(sidecar: Path) -> list[Any] | None:
-    """What the file says under ``azimuth_deg``, or None where it says nothing."""
+    """The values of ``azimuth_deg`` in the file, or None if it has none."""
     try:
         fields = json.loads(sidecar.read_text(encoding="utf-8"))
     except ValueError as error:

@@ -1,9 +1,8 @@
-"""A simulated room and array of one's own, to measure what fine-tuning gains.
+"""A simulated room and array of one's own, to measure the gain of fine-tuning.
 
-What training scenes never hold comes together here: strong reflections in a small room, a fan below
-the array that never stops, and an array whose microphones are always off in the same way. The
-recordings to tune on go once around the array with one voice each; the test has other voices at
-other places of the same room.
+It combines what training scenes lack: strong reflections in a small room, a steady fan below the
+array, and constant errors of the microphones' positions and gains. The recordings for tuning go
+once around the array with one voice each; the test has other voices at other places of the room.
 """
 
 from __future__ import annotations
@@ -28,10 +27,11 @@ from service.doa.types import FloatArray
 
 OWN_ROOM = RoomSpec((4.0, 3.0, 2.5), (2.1, 1.4, 1.0), rt60=0.5)
 POSITION_ERROR = 0.002
-"""Metres, standard deviation of every coordinate in the array's plane"""
+"""Standard deviation in metres of every coordinate in the array's plane"""
 GAIN_ERROR_DB = 2.0
+"""Standard deviation of the microphones' gains"""
 FAN = np.array([0.12, -0.08, -0.3])
-"""Metres from the array's centre"""
+"""Position of the fan in metres from the array's centre"""
 
 
 def write_own_room(
@@ -49,7 +49,8 @@ def write_own_room(
 ) -> None:
     """Write ``recordings/`` and ``test/``, each with its ``labels.csv``.
 
-    The recordings stand at even angles and 1 m, the test's at random ones and 0.6 to 1.3 m.
+    The recordings' sources stand at even angles and 1 m, the test's at random angles and 0.6 to
+    1.3 m.
     """
     rng = np.random.default_rng([seed, 36])
     hears = _Hearing(rng, array, room, snr_db)
@@ -61,7 +62,7 @@ def write_own_room(
 
 
 class _Hearing:
-    """The imperfect array in its room beside its fan."""
+    """The imperfect array in its room with its fan."""
 
     def __init__(
         self, rng: np.random.Generator, array: MicrophoneArray, room: RoomSpec, snr_db: float
@@ -74,7 +75,7 @@ class _Hearing:
         (self.fan,) = impulse_responses(room, self.positions, FAN[None])
 
     def record(self, rng: np.random.Generator, source: FloatArray, voice: FloatArray) -> FloatArray:
-        """(N, T) float32 of a voice (T,) from a source (3,), peak at half of full scale."""
+        """Recording (N, T) float32 of a voice (T,) at a position (3,), with a peak of 0.5."""
         (response,) = impulse_responses(self.room, self.positions, source[None])
         audio = unit_power(convolve(voice, response)[:, : len(voice)])
         audio = audio + np.float32(10 ** (-self.snr_db / 20)) * self._noise(rng, len(voice))
@@ -82,7 +83,7 @@ class _Hearing:
         return 0.5 * audio / np.abs(audio).max()
 
     def _noise(self, rng: np.random.Generator, samples: int) -> FloatArray:
-        """The fan, the rest of the room and the converters, of unit power."""
+        """Noise (N, T) of fan, room and converters, of unit power."""
         hum = scipy.signal.lfilter([1], [1, -0.9], rng.standard_normal(samples + SAMPLE_RATE))
         fan = convolve(hum.astype(np.float32), self.fan)[:, SAMPLE_RATE : SAMPLE_RATE + samples]
         diffuse = diffuse_noise(rng, self.positions, samples)
@@ -113,7 +114,7 @@ def _write(
 
 
 def _words(rng: np.random.Generator, speech: Sequence[FloatArray], samples: int) -> FloatArray:
-    """(T,) words one after the other, with short pauses and one at the end."""
+    """Words one after the other, each with a short pause after it, (T,)."""
     pieces: list[FloatArray] = []
     while sum(map(len, pieces)) < samples:
         pieces.append(speech[int(rng.integers(len(speech)))])

@@ -1,4 +1,4 @@
-"""Fine-tuning as a command: folders in, a table on the terminal, a bundle out if it is better."""
+"""Fine-tuning as a command: prints a table, and writes a bundle if it is better."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from model_export.export.bundle_place import in_the_place_of
 from model_export.finetuning.finetune import ARRAY, FineTuning, Outcome, finetune
 from model_export.finetuning.labelled_recordings import LabelledRecording, load_recordings
 from model_export.simulation.room_bank import RoomBank
-from service.cli.terminal import line, output, table
+from neuralmusic.cli.terminal import line, output, table
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 from service.inference.bundle import load_bundle
@@ -38,14 +38,14 @@ def finetune_run(
     test: Path | None = None,
     force: bool = False,
 ) -> None:
-    """Fine-tune the bundle of a folder, print the table, keep the result where it is better.
+    """Fine-tune the bundle of a folder, print the table, and keep the result if it is better.
 
     Parameters
     ----------
     rooms : Path, optional
-        Room bank out of which simulated scenes with ``speech`` are mixed in.
+        Room bank for simulated scenes with ``speech``, which are mixed in.
     test : Path, optional
-        Folder of further labelled recordings, which only score.
+        Folder of further labelled recordings, for scores only.
 
     Raises
     ------
@@ -101,8 +101,8 @@ def _print(recordings: list[LabelledRecording], outcome: Outcome) -> None:
 def _moved(nominal: MicrophoneArray, calibrated: MicrophoneArray, path: Path) -> str:
     moved = np.linalg.norm(calibrated.positions - nominal.positions, axis=-1)
     return (
-        f"the microphones were found up to {1000 * moved.max():.1f} mm from where {nominal.name} "
-        f"has them: localize with --array @{path} from now on"
+        f"the microphones are up to {1000 * moved.max():.1f} mm from where {nominal.name} has "
+        f"them: localize with --array @{path} from now on"
     )
 
 

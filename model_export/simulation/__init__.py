@@ -1,1 +1,1 @@
-"""Rooms, arrays, noises, and the scenes that are made of them."""
+"""Rooms, arrays, noises, and scenes made of them."""

@@ -1,4 +1,4 @@
-"""Microphone arrays: random ones for models that must work on any, fixed ones to test them on."""
+"""Microphone arrays: random ones to train models for any array, fixed ones to test them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ KINDS = ("ring", "ring_and_centre", "irregular", "three_dimensional")
 
 
 def named_array(name: str) -> MicrophoneArray:
-    """The test array, line or preset of this name, or UnknownArray."""
+    """The test array, line or preset of this name; raises UnknownArray if there is none."""
     return TEST_ARRAYS.get(name) or LINES.get(name) or preset(name)
 
 
@@ -25,8 +25,8 @@ def random_array(
 ) -> MicrophoneArray:
     """A ring, a ring with a centre, an irregular planar or a three-dimensional array.
 
-    ``aperture`` bounds the diameter in metres; it is drawn log-uniformly, small boards being the
-    rule on robots.
+    ``aperture`` bounds the diameter in metres, which is drawn log-uniformly because robots mostly
+    have small boards.
     """
     diameter = float(np.exp(rng.uniform(*np.log(aperture))))
     kind = rng.choice(KINDS, p=(0.45, 0.1, 0.25, 0.2))
@@ -48,7 +48,7 @@ def _ring(count: int, radius: float, first_azimuth: float = 0.0) -> FloatArray:
 
 
 def _scatter(rng: np.random.Generator, count: int, diameter: float, *, flat: bool) -> FloatArray:
-    """Points in a ball or disc with a minimum spacing, stretched to the wanted aperture."""
+    """Points (N, 3) in a ball or disc with a minimum spacing, scaled to the aperture, metres."""
     while True:
         points = rng.normal(size=(count, 3))
         points *= rng.uniform(0.3, 1.0, (count, 1)) / np.linalg.norm(points, axis=1, keepdims=True)
@@ -57,7 +57,7 @@ def _scatter(rng: np.random.Generator, count: int, diameter: float, *, flat: boo
         distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
         points *= diameter / distances.max()
         spacing = (distances * diameter / distances.max())[np.triu_indices(count, 1)].min()
-        # Nearly collinear layouts cannot tell front from back and would only teach confusion.
+        # Nearly collinear arrays cannot tell front from back, which would confuse training.
         spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
         if spacing >= MIN_SPACING and spread[1] > 0.35 * spread[0]:
             return points
@@ -78,8 +78,7 @@ TEST_ARRAYS: Mapping[str, MicrophoneArray] = MappingProxyType(
         )
     }
 )
-"""Arrays that no training names, for evaluation; microphone 0 of a ring is at +x, then
-counter-clockwise"""
+"""Arrays for evaluation, in no training; rings count counter-clockwise from +x"""
 
 LINES: Mapping[str, MicrophoneArray] = MappingProxyType(
     {
@@ -92,4 +91,4 @@ LINES: Mapping[str, MicrophoneArray] = MappingProxyType(
         )
     }
 )
-"""Uniform lines along y, for methods that need one; they hear the half towards +x"""
+"""Uniform linear arrays along y, for methods that need one; directions are towards +x only"""

@@ -1,7 +1,7 @@
 """The sound of fans: tones of the blades and coloured noise of the air.
 
-What a robot's cooling fan sounds like: the blade-passing frequency and its harmonics, which wander
-with the motor, over broadband noise that falls by 6 dB an octave.
+A robot's cooling fan has the blade-passing frequency and its harmonics, which wander with the
+motor's speed, over broadband noise that falls by 6 dB an octave.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ ROTATION = 60.0
 BLADES = 5
 HARMONICS = 8
 HARMONIC_STEP_DB = 4.0
-"""Every harmonic is this much below the one before"""
+"""Decrease of level from each harmonic to the next"""
 WANDER = 0.003
-"""Standard deviation of the speed, as a share of it"""
+"""Standard deviation of the speed relative to its mean"""
 CORNER = 600.0
 """Hertz; above it the air's noise falls by 6 dB an octave"""
 LOWEST = 40.0
-"""Hertz; what microphones deliver"""
+"""Hertz; lowest frequency that microphones deliver"""
 
 
 def fan_tones(rng: np.random.Generator, num_samples: int) -> FloatArray:
-    """(T,) blade-passing tones of unit power."""
+    """Blade-passing tones (T,) of unit power."""
     seconds = np.arange(num_samples) / SAMPLE_RATE
     knots = np.arange(int(seconds[-1]) + 3) - 0.5
     speed = ROTATION * (1 + WANDER * np.interp(seconds, knots, rng.standard_normal(len(knots))))
@@ -40,7 +40,7 @@ def fan_tones(rng: np.random.Generator, num_samples: int) -> FloatArray:
 
 
 def air_noise(rng: np.random.Generator, num_channels: int, num_samples: int) -> FloatArray:
-    """(C, T) independent noise of flowing air, each of unit power."""
+    """Noise (C, T) of flowing air, independent between channels, each of unit power."""
     spectrum = np.fft.rfft(rng.standard_normal((num_channels, num_samples)), axis=-1)
     frequency = np.fft.rfftfreq(num_samples, 1 / SAMPLE_RATE)
     spectrum *= (frequency >= LOWEST) / np.sqrt(1 + (frequency / CORNER) ** 2)
@@ -49,7 +49,7 @@ def air_noise(rng: np.random.Generator, num_channels: int, num_samples: int) -> 
 
 
 def random_fan(rng: np.random.Generator, num_samples: int) -> FloatArray:
-    """Any steady fan, (T,) float32, for training: not the one whose sound scores, above."""
+    """A random steady fan (T,) float32 for training; the fan above is left for evaluation."""
     time = np.arange(num_samples) / SAMPLE_RATE
     blades = rng.uniform(60, 400)
     tones = np.zeros(num_samples)

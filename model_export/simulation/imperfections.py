@@ -1,4 +1,4 @@
-"""What microphones, converters and firmware do to audio on its way, for training scenes."""
+"""Imperfections of microphones, converters and firmware, for training scenes."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ GAIN_MISMATCH_DB = 1.0
 PHASE_MISMATCH = 4e-6
 """Standard deviation of the microphones' delays in seconds"""
 CROSSTALK_DB = (-45.0, -22.0)
+"""Range of the level of a neighbouring channel's leak"""
 BAND_EDGE = (0.4, 0.95)
-"""Share of the band that a band limit leaves"""
+"""Range of the share of the band that a band limit leaves"""
 LEVEL_DBFS = (-60.0, -6.0)
-"""Peak level of quantised audio: whispers before distant microphones fill a few bits only"""
+"""Range of the peak level of quantised audio; a distant whisper fills only a few bits"""
 
 
 def mismatch(rng: np.random.Generator, audio: FloatArray) -> FloatArray:
-    """Unequal gains and delays of microphones (N, T)."""
+    """Give the microphones of audio (N, T) unequal gains and delays."""
     microphones, samples = audio.shape
     gains = 10 ** (rng.normal(scale=GAIN_MISMATCH_DB, size=(microphones, 1)) / 20)
     delays = rng.normal(scale=PHASE_MISMATCH * rng.random(), size=(microphones, 1))
@@ -32,13 +33,13 @@ def mismatch(rng: np.random.Generator, audio: FloatArray) -> FloatArray:
 
 
 def crosstalk(rng: np.random.Generator, audio: FloatArray) -> FloatArray:
-    """What leaks between neighbouring channels of a converter."""
+    """Add the leak between neighbouring channels of a converter to audio (N, T)."""
     leak = np.float32(10 ** (rng.uniform(*CROSSTALK_DB) / 20))
     return audio + leak * np.roll(audio, 1, axis=0)
 
 
 def band_limit(rng: np.random.Generator, audio: FloatArray) -> FloatArray:
-    """A recording that was once sampled, or coded, for a narrower band."""
+    """Limit audio (N, T) to a narrower band, as a lower sample rate or a codec does."""
     spectrum = scipy.fft.rfft(audio, axis=-1)
     edge = int(spectrum.shape[-1] * rng.uniform(*BAND_EDGE))
     spectrum[:, edge:] *= np.float32(1e-3)
@@ -47,7 +48,7 @@ def band_limit(rng: np.random.Generator, audio: FloatArray) -> FloatArray:
 
 
 def quantised(rng: np.random.Generator, audio: FloatArray) -> FloatArray:
-    """16-bit samples at a low level."""
+    """Round audio (N, T) to 16-bit samples at a low level; its scale stays."""
     level = 10 ** (rng.uniform(*LEVEL_DBFS) / 20) / max(float(np.abs(audio).max()), 1e-9)
     steps: FloatArray = np.round(audio * np.float32(level * 32767))
     return (steps / np.float32(level * 32767)).astype(np.float32)

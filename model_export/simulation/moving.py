@@ -1,8 +1,8 @@
 """Talkers who walk: dry speech through room responses that change along a path.
 
-A response is simulated every two degrees of the path; between two of them the talker is faded
-from one into the other. What is faded is the dry speech, so every response's reverberation rings on
-after the talker has left and a talker who stands still sounds as in a static simulation.
+A response is simulated every two degrees of the path, and the talker fades from each into the
+next. The dry speech is faded, not the responses: so the reverberation of every place rings on
+after the talker has left, and a still talker sounds as in a static simulation.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from service.doa.steering import unit_vectors
 from service.doa.types import BoolArray, FloatArray
 
 STEP = np.deg2rad(2.0)
-"""Radians between two responses: 5 cm at 1.5 m"""
+"""Radians between two responses, 5 cm at 1.5 m"""
 VOICED_DB = 20.0
-"""A talker this far below its own active level pauses"""
+"""A talker pauses while this far below its own active level"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,28 +32,28 @@ class Arc:
     """A path around the array at a constant distance and speed."""
 
     begin: float
-    """Radians at time 0"""
+    """Azimuth in radians at time 0"""
     velocity: float = 0.0
     """Radians per second, counter-clockwise"""
     distance: float = 1.5
-    """Metres"""
+    """Metres from the array's centre"""
 
     def azimuth(self, time: FloatArray) -> FloatArray:
-        """Radians in [0, 2 pi) at times in seconds."""
+        """Azimuths in radians in [0, 2 pi) at times in seconds."""
         azimuth: FloatArray = (self.begin + self.velocity * np.asarray(time)) % (2 * np.pi)
         return azimuth
 
 
 @dataclass(frozen=True, slots=True)
 class Talker:
-    """Somebody who talks along a path."""
+    """Somebody who talks while walking along a path."""
 
     path: Arc
     speech: FloatArray
-    """(T,) dry, of any level"""
+    """(T,) dry speech of any level"""
 
     def voiced(self, time: float, duration: float) -> bool:
-        """Whether it talks in the ``duration`` seconds before a time."""
+        """Whether the talker talks in the ``duration`` seconds before a time."""
         end = round(time * SAMPLE_RATE)
         heard = self.speech[max(0, end - round(duration * SAMPLE_RATE)) : end]
         threshold = 10 ** (-VOICED_DB / 10) * active_power(self.speech)
@@ -62,18 +62,18 @@ class Talker:
 
 @dataclass(frozen=True, slots=True)
 class MovingScene:
-    """Audio and the talkers that are in it."""
+    """Audio and its talkers."""
 
     audio: FloatArray
     """(N, T) float32"""
     talkers: tuple[Talker, ...]
 
     def azimuths(self, time: float) -> FloatArray:
-        """(M,) radians at a time in seconds."""
+        """Azimuths (M,) of the talkers in radians at a time in seconds."""
         return np.array([float(t.path.azimuth(np.array(time))) for t in self.talkers])
 
     def voiced(self, time: float, duration: float) -> BoolArray:
-        """(M,) who talks in the ``duration`` seconds before a time."""
+        """Whether each talker (M,) talks in the ``duration`` seconds before a time."""
         return np.array([t.voiced(time, duration) for t in self.talkers], dtype=bool)
 
 
@@ -85,9 +85,9 @@ def simulate_moving(
     *,
     snr_db: float,
 ) -> MovingScene:
-    """Talkers of equal active level at the first microphone in white sensor noise.
+    """Simulate talkers of equal active level at the first microphone, in white sensor noise.
 
-    The noise has the power of one talker's active level less the SNR.
+    The noise power is the power of one talker's active level, less the SNR.
     """
     num_samples = max(len(talker.speech) for talker in talkers)
     audio = np.zeros((array.num_microphones, num_samples))
@@ -99,7 +99,7 @@ def simulate_moving(
 
 
 def walk(room: RoomSpec, array: MicrophoneArray, talker: Talker) -> FloatArray:
-    """One talker at all microphones, (N, T), as loud as the speech is dry."""
+    """Microphone signals (N, T) of one talker, not rescaled after the room."""
     path, num_samples = talker.path, len(talker.speech)
     turn = abs(path.velocity) * num_samples / SAMPLE_RATE
     knots = np.linspace(0, num_samples, 2 + int(turn / STEP)) if turn else np.zeros(1)
@@ -110,15 +110,15 @@ def walk(room: RoomSpec, array: MicrophoneArray, talker: Talker) -> FloatArray:
 
 
 def convolve_moving(dry: FloatArray, responses: FloatArray, knots: FloatArray) -> FloatArray:
-    """Dry speech (T,) through responses that fade into each other: (N, T).
+    """Convolve dry speech (T,) with responses that fade into each other: (N, T).
 
     Parameters
     ----------
     dry : (T,) float
     responses : (S, N, K) float
     knots : (S,) float
-        Samples at which each response holds alone, ascending; before the first and after the last
-        one these two hold.
+        Samples at which each response holds alone, ascending. The first holds before its knot, the
+        last after its own.
     """
     num_samples = len(dry)
     wet = np.zeros((responses.shape[1], num_samples), dtype=np.float32)

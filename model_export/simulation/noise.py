@@ -1,7 +1,7 @@
-"""What real arrays hear besides talkers: sensor, diffuse and coupled noise.
+"""Noises of real arrays: sensor, diffuse and coupled noise.
 
-Diffuse noise takes its colour from a random slope or, where recordings are given, the spectrum of
-a recording in time.
+Diffuse noise is coloured by a random slope or, where recordings are given, by a recording's
+spectrum over time.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import scipy.signal
 from service.doa.types import FloatArray
 
 FRAME = 512
-"""Samples of the frames in which recorded noise lends diffuse noise its spectrum"""
+"""Samples in a frame of the STFT that shapes diffuse noise like a recording"""
 
 
 def unit_power(audio: FloatArray) -> FloatArray:
@@ -25,14 +25,14 @@ def unit_power(audio: FloatArray) -> FloatArray:
 
 
 def sensor_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
-    """White noise of unit variance, independent in every microphone, (N, T) float32."""
+    """White noise (N, T) float32 of unit variance, independent at every microphone."""
     return rng.standard_normal(shape, dtype=np.float32)
 
 
 def coupled_noise(rng: np.random.Generator, shape: tuple[int, int]) -> FloatArray:
-    """Coloured noise that couples in phase into some or all of the channels, (N, T) float32.
+    """Coloured noise (N, T) float32 that is the same in some or all channels.
 
-    One converter feeds two or four channels; what couples into it is in phase in them.
+    One converter serves two or four channels; noise that couples into it is in phase in them all.
     """
     common = unit_power(colour(rng, rng.standard_normal((1, shape[1]), dtype=np.float32)))
     members = rng.random(shape[0]) < rng.choice([0.5, 1.0])
@@ -53,7 +53,7 @@ def colour(rng: np.random.Generator, noise: FloatArray) -> FloatArray:
 
 
 def shaped_like(noise: FloatArray, recording: FloatArray) -> FloatArray:
-    """Give white noise (N, T) a mono recording's spectrum in time; its phases stay diffuse."""
+    """Give white noise (N, T) a mono recording's spectrum over time; its phases stay diffuse."""
     options = {"nperseg": FRAME, "noverlap": FRAME // 2}
     _, _, spectra = scipy.signal.stft(noise, **options)
     _, _, recorded = scipy.signal.stft(recording[: noise.shape[-1]], **options)
@@ -69,7 +69,7 @@ def shaped_like(noise: FloatArray, recording: FloatArray) -> FloatArray:
 def excerpt(
     rng: np.random.Generator, recordings: Sequence[FloatArray], num_samples: int
 ) -> FloatArray:
-    """(T,) of a random recording from a random place, repeated where it is too short."""
+    """Excerpt (T,) of a random recording from a random sample on, repeated if it is too short."""
     recording = recordings[int(rng.integers(len(recordings)))]
     offset = int(rng.integers(len(recording)))
     return np.resize(np.roll(recording, -offset), num_samples)

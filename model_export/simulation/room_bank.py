@@ -13,12 +13,12 @@ from service.doa.types import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class RoomChunk:
-    """R rooms, each with an array of N microphones in one place and S places for sources."""
+    """R rooms, each with one array of N microphones and S source positions."""
 
     responses: FloatArray
-    """(R, S, N, K) float16 impulse responses at 16 kHz, each source's with a maximum of 1"""
+    """(R, S, N, K) float16 impulse responses at 16 kHz, scaled to a peak of 1 for each source"""
     positions: FloatArray
-    """(R, N, 3) nominal microphone positions in metres; responses were made 1 mm beside them"""
+    """(R, N, 3) nominal microphone positions in metres; responses are from positions 1 mm off"""
     azimuth: FloatArray
     """(R, S) radians"""
     elevation: FloatArray
@@ -26,18 +26,18 @@ class RoomChunk:
     distance: FloatArray
     """(R, S) metres from the array's centre"""
     diffuse: FloatArray
-    """(R, N, T) float16 white isotropic noise"""
+    """(R, N, T) float16 white noise of a diffuse field"""
     room: FloatArray
     """(R, 8): size and array centre (3 each, metres), image order (-1: RT60 instead), RT60 (s)"""
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """A chunk's file, which ``write`` has made."""
+        """Read a chunk from a file of ``write``."""
         with np.load(path) as arrays:
             return cls(**arrays)
 
     def write(self, path: Path) -> None:
-        """One ``.npz`` file; an interruption leaves none."""
+        """Write one ``.npz`` file; an interruption leaves no ``.npz`` at ``path``."""
         unfinished = path.with_suffix(".part.npz")
         np.savez(unfinished, **{each.name: getattr(self, each.name) for each in fields(self)})
         unfinished.rename(path)
@@ -48,7 +48,7 @@ class RoomBank:
 
     def __init__(self, folder: Path, *, validation: bool = False) -> None:
         paths = sorted(p for p in folder.glob("*.npz") if not p.name.endswith(".part.npz"))
-        # One chunk in twenty only validates; a bank of fewer, as tests make, does both with all.
+        # One chunk in twenty only validates; in a smaller bank, as of tests, every chunk does both.
         if len(paths) >= 20:
             paths = [p for p in paths if (int(p.stem) % 20 == 19) == validation]
         self.paths = paths
@@ -56,5 +56,5 @@ class RoomBank:
             raise FileNotFoundError(f"no room chunks in {folder}: run 'model_export rooms' first")
 
     def chunk(self, rng: np.random.Generator) -> RoomChunk:
-        """One whole chunk; its rooms share the microphone count."""
+        """Draw one whole chunk; its rooms share the microphone count."""
         return RoomChunk.read(self.paths[rng.integers(len(self.paths))])

@@ -1,8 +1,8 @@
 """Rooms: seeded room impulse responses by the image-source method (pyroomacoustics).
 
-A room here is one array at one place and a handful of source positions. Responses are simulated
-once and kept in chunk files, since they cost a thousand times more than the convolutions that
-training repeats with other speech and noise.
+A room is one array at one place with a few source positions. Responses are simulated once and
+kept in chunk files: they cost a thousand times more than the convolutions with speech that
+training repeats.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from service.doa.steering import unit_vectors
 from service.doa.types import FloatArray
 
 RESPONSE_SAMPLES = 8000
-"""Kept length of a response, 0.5 s; what comes later is 30 dB down in all but the deadest cases."""
+"""Kept length of a response, 0.5 s; the tail that is cut is at least 30 dB down"""
 MAX_ORDER = 45
-"""Cap on the image order: beyond it the cost explodes and the tail is diffuse anyway."""
+"""Cap on the image order: beyond it the cost explodes and the tail is diffuse anyway"""
 CHUNK_ROOMS = 32
 SOURCES_PER_ROOM = 4
 NOISE_SAMPLES = 16640
@@ -39,11 +39,11 @@ class RoomSpec:
     """A shoebox room with either rigid walls and a maximum image order, or an RT60."""
 
     size: tuple[float, float, float]
-    """Metres"""
+    """Length, width and height in metres"""
     centre: tuple[float, float, float]
     """Array centre in metres"""
     max_order: int | None = None
-    """Image order with walls that absorb nothing, as the paper's protocol has it"""
+    """Image order with rigid walls, as in the paper's protocol"""
     rt60: float | None = None
     """Seconds; 0 is an anechoic room"""
 
@@ -65,7 +65,7 @@ def impulse_responses(
     longest: int | None = None,
     highest_order: int = MAX_ORDER,
 ) -> FloatArray:
-    """Responses from every source to every microphone.
+    """Impulse responses from every source to every microphone.
 
     Parameters
     ----------
@@ -75,9 +75,9 @@ def impulse_responses(
     sources : (S, 3) float
         Sources relative to the array centre, metres.
     longest : int, optional
-        Samples to cut or pad to; by default the longest response's length.
+        Number of samples T to cut or pad to; by default that of the longest response.
     highest_order : int
-        Image order at which the reflections of a room with an RT60 end.
+        Cap on the image order of a room with an RT60.
 
     Returns
     -------
@@ -110,7 +110,7 @@ def impulse_responses(
 
 
 def random_room(rng: np.random.Generator) -> RoomSpec:
-    """Half the paper's kind (rigid walls, low order), half with an RT60 of 0 to 0.8 s."""
+    """A random room: half have rigid walls and a low order, half an RT60 of up to 0.8 s."""
     if rng.random() < 0.25:
         return paper_room(int(rng.integers(0, 5)))
     size = (rng.uniform(3, 10), rng.uniform(3, 8), rng.uniform(2.4, 4.0))
@@ -120,7 +120,7 @@ def random_room(rng: np.random.Generator) -> RoomSpec:
     spec_centre = (centre[0], centre[1], rng.uniform(0.4, 1.6))
     if rng.random() < 0.3:
         return RoomSpec(size, spec_centre, max_order=int(rng.integers(0, 5)))
-    # Sabine's formula has no solution for very short RT60 in a large room.
+    # Sabine's formula has no solution for a very short RT60 in a large room.
     shortest = 0.16 * np.prod(size) / _surface(size) + 0.05
     return RoomSpec(size, spec_centre, rt60=float(rng.uniform(shortest, 0.8)))
 
@@ -133,13 +133,13 @@ def _surface(size: Sequence[float]) -> float:
 def place_sources(
     rng: np.random.Generator, room: RoomSpec, count: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Sources inside the room with uniform azimuths and elevations mostly near the horizon.
+    """Draw sources inside the room, azimuths uniform, elevations mostly near the horizon.
 
     Returns
     -------
     sources : (S, 3) float
-        Relative to the array centre, metres.
-    azimuth, elevation, distance : (S,) float
+        Positions relative to the array centre, metres.
+        azimuth, elevation, distance : (S,) float
         Radians and metres.
     """
     low = 0.15 - np.asarray(room.centre)
@@ -161,28 +161,28 @@ def place_sources(
 def diffuse_noise(
     rng: np.random.Generator, positions: FloatArray, num_samples: int, num_waves: int = NUM_WAVES
 ) -> FloatArray:
-    """White isotropic noise: independent plane waves from all over the sphere, (N, T) float32."""
+    """Diffuse field (N, T) float32: independent white plane waves from the whole sphere."""
     directions = isotropic_directions(rng, num_waves)
     return superpose(positions, directions, rng.normal(size=(num_waves, num_samples)))
 
 
 def isotropic_directions(rng: np.random.Generator, num_waves: int = NUM_WAVES) -> FloatArray:
-    """Unit vectors (K, 3) spread evenly over the sphere."""
+    """Unit vectors (K, 3), uniformly random on the sphere."""
     elevation = np.arcsin(rng.uniform(-1, 1, num_waves))
     return unit_vectors(rng.uniform(0, 2 * np.pi, num_waves), elevation)
 
 
 def superpose(positions: FloatArray, directions: FloatArray, signals: FloatArray) -> FloatArray:
-    """Plane waves at the microphones, (N, T) float32 with the waves' mean power.
+    """Microphone signals (N, T) float32 of plane waves, with the waves' mean power.
 
     Parameters
     ----------
     positions : (N, 3) float
-        Metres.
-    directions : (K, 3) float
+        Microphone positions, metres.
+        directions : (K, 3) float
         Unit vectors towards the waves' origins.
     signals : (K, T) float
-        What each wave carries, delayed circularly.
+        Signal of each wave; its delays are circular.
     """
     waves, num_samples = signals.shape
     delays = positions @ directions.T / SPEED_OF_SOUND  # (N, K) seconds
@@ -196,7 +196,7 @@ def superpose(positions: FloatArray, directions: FloatArray, signals: FloatArray
 
 
 def simulate_chunk(seed: int) -> RoomChunk:
-    """``CHUNK_ROOMS`` random rooms whose arrays share one microphone count."""
+    """Simulate ``CHUNK_ROOMS`` random rooms whose arrays share one microphone count."""
     rng = np.random.default_rng([seed, 20260])
     microphones = int(rng.choice([3, 4, 4, 4, 5, 6, 6, 7, 8]))
     simulated, diffuse = [], []
@@ -215,7 +215,7 @@ def simulate_room(
     longest: int,
     highest_order: int = MAX_ORDER,
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """The array's real positions (N, 3), and what a ``RoomChunk`` holds of the room but noise."""
+    """The array's jittered positions (N, 3), and fields of ``RoomChunk`` without ``diffuse``."""
     sources, azimuth, elevation, distance = place_sources(rng, room, SOURCES_PER_ROOM)
     jittered = positions + rng.normal(scale=0.001, size=positions.shape)
     responses = impulse_responses(
@@ -234,12 +234,12 @@ def simulate_room(
 
 
 def diffuse_field(rng: np.random.Generator, positions: FloatArray) -> FloatArray:
-    """A room's ``RoomChunk.diffuse``, (N, T) float16."""
+    """Diffuse field (N, T) float16 of one room, for ``RoomChunk.diffuse``."""
     return (0.1 * diffuse_noise(rng, positions, NOISE_SAMPLES)).astype(np.float16)
 
 
 def chunk_of(rooms: Sequence[dict[str, FloatArray]], diffuse: Sequence[FloatArray]) -> RoomChunk:
-    """The chunk of rooms from ``simulate_room``, each with a diffuse field."""
+    """Stack rooms from ``simulate_room``, each with a diffuse field, to a chunk."""
     stacked = {key: np.stack([room[key] for room in rooms]) for key in rooms[0]}
     return RoomChunk(**stacked, diffuse=np.stack(diffuse))
 
@@ -251,7 +251,7 @@ def _write_chunk(folder: Path, seed: int) -> None:
 
 
 def write_room_bank(folder: Path, num_chunks: int, *, workers: int = 1) -> None:
-    """Write chunks 0 to ``num_chunks`` - 1 into ``folder``; those that exist are kept."""
+    """Write chunks 0 to ``num_chunks`` - 1 into ``folder``; existing ones are kept."""
     folder.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(workers) as pool:
         futures = [pool.submit(_write_chunk, folder, seed) for seed in range(num_chunks)]

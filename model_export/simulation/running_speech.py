@@ -1,7 +1,7 @@
-"""Running speech: a word's active part again and again, so that a talker never pauses.
+"""Running speech: a word's active part repeated, so that a talker never pauses.
 
-Corpora of words have a silence before and after each of them; a window of half a second would
-often hear nothing else.
+Words of a corpus begin and end with silence; a window of half a second would often hold nothing
+else.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ import numpy as np
 from service.doa.types import FloatArray
 
 FRAME_SAMPLES = 320
-"""20 ms at 16 kHz"""
+"""Frame of 20 ms at 16 kHz"""
 ACTIVE_DB = 25.0
-"""Frames this far below the loudest one are silence"""
+"""Silence is this far below the loudest frame, or farther"""
 
 
 def running_speech(rng: np.random.Generator, clip: FloatArray, num_samples: int) -> FloatArray:
-    """(num_samples,) of one talker who repeats a clip's (T,) word without pauses.
+    """Speech (num_samples,) of one talker who repeats a clip's (T,) word without pauses.
 
-    It begins at a random place of the word.
+    It starts at a random sample of the word.
     """
     word = active_part(clip)
     begin = int(rng.integers(len(word)))
@@ -28,7 +28,7 @@ def running_speech(rng: np.random.Generator, clip: FloatArray, num_samples: int)
 
 
 def active_part(clip: FloatArray) -> FloatArray:
-    """A clip (T,) from its first to its last active frame."""
+    """The clip (T,) cut to its first to last active frame."""
     frames = np.flatnonzero(_active(_frame_powers(clip)))
     return clip[frames[0] * FRAME_SAMPLES : (frames[-1] + 1) * FRAME_SAMPLES]
 
@@ -49,6 +49,6 @@ def _active(powers: FloatArray) -> FloatArray:
 
 
 def _frame_powers(samples: FloatArray) -> FloatArray:
-    """Mean squares of whole frames; what is left at the end is padded with silence."""
+    """Mean squares of the frames; the last one is padded with silence."""
     padded = np.pad(samples, (0, -len(samples) % FRAME_SAMPLES))
     return np.square(padded.reshape(-1, FRAME_SAMPLES), dtype=np.float64).mean(axis=1)

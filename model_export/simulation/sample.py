@@ -1,7 +1,7 @@
 """The sample recording: two synthetic talkers in a small room, heard by a ReSpeaker.
 
-One speaks at 45 degrees, then the other at 200 degrees, then both; every sample of it is made
-here, so it may be committed.
+One speaks at 45 degrees, then the other at 200 degrees, then both. Every sample is synthetic, so
+the recording may be committed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SNR_DB = 25.0
 
 
 def write_sample(path: Path, seed: int = 3) -> None:
-    """Write the recording as 16-bit FLAC or WAV, by the path's ending."""
+    """Write the recording as 16-bit FLAC or WAV, by the path's suffix."""
     rng = np.random.default_rng(seed)
     array = preset("respeaker-usb-4mic-v2")
     sources = np.array([1.4, 1.2])[:, None] * unit_vectors(np.deg2rad(AZIMUTH_DEG))

@@ -9,7 +9,10 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class SceneConfig:
-    """What a training scene may hold; probabilities unless said otherwise."""
+    """What a training scene may hold; probabilities unless said otherwise.
+
+    What single talkers of a bank look at is said at ``singles.SinglesBank.draw``.
+    """
 
     source_counts: tuple[float, ...] = (0.0, 0.55, 0.35, 0.10)
     """Probability of 0, 1, 2, ... talkers"""
@@ -17,6 +20,12 @@ class SceneConfig:
     """Radians between talkers"""
     snr_db: tuple[float, float] = (-5.0, 35.0)
     """Signal-to-noise ratio against all noise, uniform"""
+    noisy: float = 0.0
+    """Single talkers: the ratio is drawn from ``noisy_snr_db`` instead; the paper's code has 0.6"""
+    noisy_snr_db: tuple[float, float] = (-10.0, 30.0)
+    """As in the paper's code"""
+    symmetric: bool = False
+    """Whether single talkers are turned and mirrored at random, as their array allows"""
     level_difference_db: float = 3.0
     """Talkers differ by up to this much"""
     position_error: float = 0.0015

@@ -97,9 +97,9 @@ def draw_scene(
         responses = chunk.responses[room, source].astype(np.float32)
         first = direct_response(responses[0], float(chunk.distance[room, source]))
         dry = late_speech(rng, speech, begins) if late else dry_speech(rng, speech, start)
-        wet = convolve(dry, np.concatenate([responses, first[None]]))
+        wet = convolve_window(dry, np.concatenate([responses, first[None]]), start)
         level = 10 ** (rng.uniform(-1, 1) * config.level_difference_db / 40)
-        wet = np.float32(level) * unit_power(wet[:, start : start + WINDOW_SAMPLES])
+        wet = np.float32(level) * unit_power(wet)
         audio += wet[:-1]
         direct[rank] = wet[-1]
     snr_db = float(rng.uniform(*config.snr_db))
@@ -156,6 +156,20 @@ def convolve(dry: FloatArray, responses: FloatArray) -> FloatArray:
     spectrum = scipy.fft.rfft(dry, size) * scipy.fft.rfft(responses, size, axis=-1)
     wet: FloatArray = scipy.fft.irfft(spectrum, size, axis=-1).astype(np.float32)
     return wet
+
+
+def convolve_window(dry: FloatArray, responses: FloatArray, start: int) -> FloatArray:
+    """The window of ``convolve``'s that begins at ``start``: (N, WINDOW_SAMPLES) float32.
+
+    Only what sounds in the window is transformed; what wraps around falls before it.
+    """
+    lead = responses.shape[-1] - 1
+    heard = dry[max(0, start - lead) : start + WINDOW_SAMPLES]
+    part = np.pad(heard, (lead + WINDOW_SAMPLES - len(heard), 0))
+    size = scipy.fft.next_fast_len(len(part), real=True)
+    spectrum = scipy.fft.rfft(part, size) * scipy.fft.rfft(responses, size, axis=-1)
+    wet: FloatArray = scipy.fft.irfft(spectrum, size, axis=-1)[:, lead : lead + WINDOW_SAMPLES]
+    return wet.astype(np.float32, copy=False)
 
 
 def _separated(

@@ -1,8 +1,8 @@
 """Synthetic speech: voiced and unvoiced syllables from a glottal pulse train through formants.
 
-No corpus is needed, so what comes out may be committed: the sample recording, golden inputs of
-bundles and tests are made of it. It has what localization needs of speech: pauses, onsets,
-harmonics and a spectrum from 100 Hz to 7 kHz.
+It needs no corpus, so its sounds may be committed: the sample recording, the golden inputs of
+bundles and the tests are made of it. It has the features of speech that localization needs:
+pauses, onsets, harmonics and a spectrum from 100 Hz to 7 kHz.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ VOWELS = (
 
 
 def synthetic_voice(rng: np.random.Generator, seconds: float) -> FloatArray:
-    """A talker without words, (T,) float32 with a peak of 1."""
+    """Wordless speech (T,) float32 with a peak of 1."""
     pitch = rng.uniform(90, 230)
     pieces: list[FloatArray] = []
     length = 0
@@ -39,7 +39,7 @@ def synthetic_voice(rng: np.random.Generator, seconds: float) -> FloatArray:
 
 
 def sound_bursts(rng: np.random.Generator, seconds: float) -> FloatArray:
-    """Sounds that come and go and are no speech, (T,) float32: noise or pulses in bursts."""
+    """Bursts (T,) float32 of noise or pulses: sounds that are no speech."""
     samples = int(seconds * SAMPLE_RATE)
     pulses = np.diff(np.floor(np.arange(samples) * rng.uniform(80, 400) / SAMPLE_RATE), prepend=0)
     share = rng.choice([0.0, 1.0, rng.random()])

@@ -1,1 +1,1 @@
-"""Networks, what they learn, and the loop that trains them."""
+"""Networks, their tasks and losses, and the loop that trains them."""

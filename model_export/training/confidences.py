@@ -1,4 +1,4 @@
-"""Confidences in bins against the truth, and the expected calibration error over them."""
+"""Confidences in bins against the truth, and their expected calibration error."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from service.doa.types import BoolArray, FloatArray
 
 HIT_DEG = 10.0
-"""What a confidence is the chance of: a source within so many degrees"""
+"""Degrees; a confidence is the chance that a source is within this angle"""
 NUM_BINS = 10
 
 
 @dataclass(frozen=True, slots=True)
 class Bin:
-    """The reported sources whose confidences lie in one interval."""
+    """Reported sources whose confidences lie in one interval."""
 
     low: float
     high: float
@@ -26,7 +26,7 @@ class Bin:
 
 
 def confidence_bins(confidence: FloatArray, right: BoolArray) -> list[Bin]:
-    """Bins of confidences (K,) in [0, 1] with the truth (K,), empty ones left out."""
+    """Bins of confidences (K,) in [0, 1] with the truth (K,), without empty bins."""
     index = np.minimum((confidence * NUM_BINS).astype(int), NUM_BINS - 1)
     return [
         Bin(

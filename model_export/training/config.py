@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
+import numpy as np
+
 from model_export.simulation.scene_config import SceneConfig
 from service.doa.spectrogram import PhaseReference
 
@@ -36,8 +38,18 @@ class TrainingConfig:
     """Weight of the `regression` variant's subspace distance; 0 leaves the paper's loss"""
     phase_reference: PhaseReference = "first"
     """Phases of the `regression` variant's features; "absolute" is the paper's text"""
+    level_exponent: float = 0.0
+    """Of its features' levels (``service.doa.spectrogram``); 0 leaves unit vectors"""
+    smooth_kernels: int = 0
+    """Cosines that its last convolution is trained as (``reparametrize``); 0 trains it as it is"""
+    pool_first: bool = False
+    """Whether its networks are trained with pooling before batch norm (``reparametrize``)"""
+    bin_step: int = 1
+    """Every how many-th bin forms the spectra of its loss, from a random one on"""
     array: str | None = None
     """Preset that the run is bound to; None draws random arrays from the room bank"""
+    singles: bool = False
+    """Whether scenes are sums of single talkers from a bank, instead of drawn in a room bank"""
     starts_from: str | None = None
     """Name of the run whose parameters this one starts from"""
     trunk: Trunk = "strided"
@@ -50,6 +62,7 @@ class TrainingConfig:
     """Batches drawn from one chunk of rooms before the next is loaded"""
     checkpoint_every: int = 250
     """Steps between checkpoints, curves and validation"""
+    validation_scenes: int = 128
     seed: int = 1
 
     def __post_init__(self) -> None:
@@ -57,6 +70,8 @@ class TrainingConfig:
             raise ValueError("steps and batch_size must be positive")
         if self.variant != "weights" and self.array is None:
             raise ValueError(f"the {self.variant} variant is bound to one array: name its preset")
+        if self.level_exponent and self.phase_reference != "first":
+            raise ValueError("level_exponent is for features of phase_reference 'first' only")
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -137,35 +152,51 @@ ANY_ARRAY_LIGHT_FINE = replace(
 """What distillation left to the spectra"""
 
 PAPER_SCENES = SceneConfig(
-    source_counts=(0.05, 0.5, 0.35, 0.10),
-    snr_db=(0.0, 35.0),
-    position_error=0.0,
-    machine=0.0,
-    quantised=0.0,
+    source_counts=(0.05, 0.40, 0.40, 0.15),
+    min_separation=np.deg2rad(10.0),
+    snr_db=(30.0, 30.0),
+    symmetric=True,
 )
-"""Milder than the product's: the paper's protocol has sensor noise alone"""
+"""The paper's protocol, with counts of 0 to 3: sums of single talkers, and sensor noise alone"""
 
 PAPER_SSCL = TrainingConfig(
     name="paper-sscl",
     variant="sscl",
-    steps=1250,
+    steps=50_000,
+    batch_size=4,
+    level_exponent=0.15,
+    smooth_kernels=16,
+    pool_first=True,
     array="respeaker-usb-4mic-v2",
+    singles=True,
     scenes=replace(PAPER_SCENES, source_counts=(0.0, 0.6, 0.3, 0.1)),
-    batches_per_chunk=12,
+    checkpoint_every=2500,
+    validation_scenes=256,
 )
 """The paper's first stage: a masked microphone is reconstructed, no direction is ever told"""
 
-PAPER = TrainingConfig(
+PAPER = replace(
+    PAPER_SSCL,
     name="paper",
     variant="regression",
     starts_from="paper-sscl",
-    steps=5000,
+    steps=250_000,
     target_sigma_deg=5.0,
     count_weight=0.5,
-    array="respeaker-usb-4mic-v2",
+    bin_step=2,
     scenes=PAPER_SCENES,
-    batches_per_chunk=24,
 )
+"""The paper's second stage for an unknown number of talkers, with the count branch"""
+
+
+def _known(count: int) -> TrainingConfig:
+    """The second stage for scenes of so many talkers, as the paper trains one network for each."""
+    certain = tuple(float(each == count) for each in range(count + 1))
+    scenes = replace(PAPER_SCENES, source_counts=certain)
+    return replace(PAPER, name=f"paper-{count}", count_weight=0.0, scenes=scenes)
+
+
+PAPER_KNOWN = tuple(_known(count) for count in (1, 2, 3))
 
 CONFIGS = {
     config.name: config
@@ -177,10 +208,18 @@ CONFIGS = {
         ANY_ARRAY_LIGHT_FINE,
         PAPER_SSCL,
         PAPER,
+        *PAPER_KNOWN,
     )
 }
 
 
 def smoke(config: TrainingConfig) -> TrainingConfig:
     """The same run cut to a few steps, for tests and for trying an installation."""
-    return replace(config, steps=4, batch_size=4, checkpoint_every=2, batches_per_chunk=2)
+    return replace(
+        config,
+        steps=4,
+        batch_size=4,
+        checkpoint_every=2,
+        batches_per_chunk=2,
+        validation_scenes=8,
+    )

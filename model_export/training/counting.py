@@ -1,8 +1,8 @@
 """The source-count network of the `weights` variant: how many of the candidates are sources.
 
-It sees what detect-and-remove says of four candidates, nothing of the array, and gives the number
-of sources and each candidate's chance to be within 10 degrees of one. Its training data are the
-localizer's own candidates on simulated scenes, computed by the code that serves.
+Its inputs are the descriptors of detect-and-remove's four candidates, not the array. Its outputs
+are the number of sources and each candidate's chance of being within 10 degrees of one. It is
+trained on the localizer's own candidates in simulated scenes, computed by the service's code.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from service.inference.results import MAX_SOURCES
 from service.inference.weights import CandidateSearch
 
 SHORT_WINDOWS = 0.4
-"""Share of the scenes that are cut to half a second or more"""
+"""Share of the scenes that are cut to a random length of half a second or more"""
 BEGINNINGS = 3
-"""Random ones of the source count's training"""
+"""Number of random initialisations of the source count's training"""
 GROUP = 64
-"""Scenes from one chunk of rooms"""
+"""Number of scenes from one chunk of rooms"""
 COUNTING_SCENES = SceneConfig(
     source_counts=(0.16, 0.38, 0.27, 0.14, 0.05),
     snr_db=(-5.0, 35.0),
@@ -77,7 +77,7 @@ class CountingData:
     count: FloatArray
     """(S,) number of sources"""
     hit: FloatArray
-    """(S, 4) 1 where the candidate is a source that no earlier candidate is"""
+    """(S, 4), 1 where a candidate hits a source that no earlier candidate hit"""
 
 
 class _SceneGroups(Dataset[list[Scene]]):
@@ -121,7 +121,7 @@ def collect(
     *,
     noises: Sequence[FloatArray] = (),
 ) -> CountingData:
-    """Run the candidate search that serves over simulated scenes."""
+    """Run the service's candidate search on simulated scenes."""
     groups = _SceneGroups(bank, speech, noises, num_scenes, seed)
     descriptors, counts, hits = [], [], []
     loader = DataLoader(groups, batch_size=None, num_workers=1)
@@ -136,7 +136,7 @@ def collect(
 
 
 def first_hits(candidates: FloatArray, azimuth: FloatArray) -> FloatArray:
-    """(K,) 1 where a candidate is within 10 degrees of a source that no earlier one has hit."""
+    """Hits (K,): 1 where a candidate is within 10 degrees of a source not hit earlier."""
     hit = np.zeros(len(candidates), dtype=np.float32)
     free = list(azimuth)
     for rank, candidate in enumerate(candidates):
@@ -150,9 +150,9 @@ def first_hits(candidates: FloatArray, azimuth: FloatArray) -> FloatArray:
 def train_counting(
     data: CountingData, validation: CountingData, *, epochs: int = 60, seed: int = 1
 ) -> tuple[CandidateCountNetwork, dict[str, float]]:
-    """Fit count and confidences by cross entropy, from several beginnings.
+    """Fit count and confidences by cross entropy, from several initialisations.
 
-    The best epoch of all on the validation data wins.
+    Returns the network of the epoch with the least validation loss, and its scores.
     """
     fitted = [_fitted(data, validation, epochs, seed + each) for each in range(BEGINNINGS)]
     network, _ = min(fitted, key=lambda each: each[1])

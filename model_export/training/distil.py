@@ -1,7 +1,7 @@
-"""Distillation: a lighter network learns what a trained one says of every cell.
+"""Distillation: a lighter network learns a trained network's weights and attentions.
 
-Angles are not needed for it, so a step costs the convolutions alone, and every cell of every scene
-is a target. What the teacher was trained for, the spectra, is left to a short stage afterwards.
+No spectra are computed, so a step costs the convolutions alone, and every cell of every scene is a
+target. The spectra, for which the teacher was trained, are left to a short stage afterwards.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from model_export.training.weights import WeightsNetwork
 from model_export.training.weights_task import CellBatch, WeightsTask, known_cross_entropy
 
 LEAST_IMPORTANCE = 0.2
-"""Of a cell that the teacher ignores, against 1 of a mean one: it might be attended to elsewhere"""
+"""Weight of a cell that the teacher ignores, since it may matter; mean attention adds 1"""
 SCALE_WEIGHT = 0.1
-"""Of the sum of the attentions, which only the source count looks at"""
+"""Weight of the sum of the attentions, which only the source count uses"""
 SHARE_WEIGHT = 0.2
-"""Of the share of direct sound, which keeps the hidden layers at what the simulation knows"""
+"""Weight of the share of direct sound, which ties the hidden layers to the truth"""
 
 
 class DistilTask(WeightsTask):
@@ -31,7 +31,7 @@ class DistilTask(WeightsTask):
     _teacher: WeightsNetwork | None = None
 
     def start_from(self, start: Task[Any]) -> None:
-        """Learn from it, and take all its parameters behind the convolutions that look ahead."""
+        """Learn from ``start``, and copy its parameters behind the convolutions that look ahead."""
         assert isinstance(start, WeightsTask)
         taught, teaching = self.model.network, start.model.network
         self.model.load_state_dict(
@@ -74,9 +74,9 @@ class DistilTask(WeightsTask):
         loss = losses["weights"] + losses["attention"] + SCALE_WEIGHT * losses["scale"]
         return {"loss": loss + SHARE_WEIGHT * losses["share"], **losses}
 
-    def scores(self, batch: CellBatch) -> dict[str, float]:
+    def scores(self, batch: CellBatch) -> dict[str, Tensor]:
         losses = self.losses(batch)
-        return {f"held_{name}": float(losses[name]) for name in ("weights", "attention")}
+        return {f"held_{name}": losses[name][None] for name in ("weights", "attention")}
 
 
 def _total(cells: Tensor) -> Tensor:

@@ -47,6 +47,11 @@ class Fitting:
             self._schedule.load_state_dict(state["schedule"])
             self.step = int(state["step"])
 
+    @property
+    def learning_rate(self) -> float:
+        """Of the next step."""
+        return float(self._schedule.get_last_lr()[0])
+
     def optimize(self, loss: Tensor) -> None:
         """One step down a loss's gradient, whose norm is held to 1."""
         self._optimizer.zero_grad(set_to_none=True)

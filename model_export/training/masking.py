@@ -1,7 +1,7 @@
 """Masks for self-supervised spatial correlation learning: one microphone loses most of its cells.
 
-After the paper's SSCL: a random microphone is masked in a span of time, in a band of frequencies or
-in scattered cells, and has to be reconstructed from what is left.
+As in the paper's SSCL, a random microphone is masked in a span of time, in a band of frequencies
+or in scattered cells, and has to be reconstructed from the rest.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from service.doa.spectrogram import spectrogram_features
 from service.doa.types import BoolArray, ComplexArray, FloatArray, IntArray
 
 MASKED_SHARE = (0.4, 0.75)
-"""Of the microphone's cells, uniform; of a tenth, as in the paper's code, the neighbours tell"""
+"""Range of the share of masked cells, uniform; the tenth of the paper's code can be guessed from
+neighbouring cells"""
 
 
 def draw_mask(rng: np.random.Generator, num_bins: int, num_frames: int) -> BoolArray:
-    """One span of frames, one band of bins or scattered cells, each as likely: (F, L) bool."""
+    """Mask (F, L) bool: a span of frames, a band of bins or scattered cells, equally likely."""
     share = rng.uniform(*MASKED_SHARE)
     mask = np.zeros((num_bins, num_frames), dtype=bool)
     match rng.integers(3):
@@ -32,33 +33,38 @@ def draw_mask(rng: np.random.Generator, num_bins: int, num_frames: int) -> BoolA
     return mask
 
 
-def masked_features(spectra: ComplexArray, microphone: IntArray, mask: BoolArray) -> FloatArray:
+def masked_features(
+    spectra: ComplexArray, microphone: IntArray, mask: BoolArray, level_exponent: float = 0.0
+) -> FloatArray:
     """The network's features when one microphone is silent in the masked cells.
 
-    The mask falls on the spectra, not on the features, whose norm and level would tell of the
-    microphone. Phases are relative to microphone 0; where that is the masked one, to microphone 1,
-    so that the others' phases do not vanish with it.
+    The spectra are masked, not the features: norm and level of the features would leak the masked
+    microphone. Phases are relative to microphone 0, or to microphone 1 where microphone 0 is
+    masked, so that the others keep their phases.
 
     Parameters
     ----------
     spectra : (B, N, F, L) complex64
     microphone : (B,) int
-        The masked one of every scene.
+        The masked microphone of every scene.
     mask : (B, F, L) bool
+    level_exponent : float
+        As ``spectrogram_features`` has it.
 
     Returns
     -------
     features : (B, 2 N, F, L) float32
-        As ``spectrogram_features`` with the reference ``"first"`` gives them. In the masked cells
-        the microphone's own are zero; of microphone 1 as a reference, the imaginary part is.
+        The features of ``spectrogram_features`` with the reference ``"first"``. In the masked cells
+        those of the masked microphone are zero, as is microphone 1's imaginary part where it is the
+        reference.
     """
     scenes = np.arange(len(spectra))
     masked = spectra.copy()
     masked[scenes, microphone] = np.where(mask, 0, masked[scenes, microphone])
     without_first = (mask & (microphone == 0)[:, None, None])[:, None]  # (B, 1, F, L)
-    # Microphones 0 and 1 change places for the computation, and their real parts back after it;
-    # the imaginary part that then stands at microphone 1 is that of the silent microphone 0.
-    features = spectrogram_features(_swapped(masked, without_first))
+    # Microphones 0 and 1 change places for the computation, and their real parts change back after
+    # it; the imaginary part that stays at microphone 1 is that of the silent microphone 0.
+    features = spectrogram_features(_swapped(masked, without_first), level_exponent=level_exponent)
     return _swapped(features, without_first)
 
 

@@ -1,7 +1,7 @@
-"""Unlabelled multichannel recordings as training scenes: windows cut at random where sound is.
+"""Unlabelled multichannel recordings as training scenes: random windows that are loud enough.
 
-Files are decoded, resampled and checked as the service does it and kept in memory
-as float16, about half a gigabyte for an hour of four microphones.
+Files are decoded, resampled and checked as in the service, and kept in memory as float16: about
+half a gigabyte for an hour of four microphones.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ import numpy as np
 from model_export.simulation.scenes import WINDOW_SAMPLES, Scene
 from model_export.training.config import TrainingConfig
 from model_export.training.task import STFT
+from neuralmusic.errors import AudioError
 from service.audio.recording import Recording
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray, IntArray
-from service.errors import AudioError
 from service.inference.geometry import choose_channels
 
 SUFFIXES = (".wav", ".flac")
 GATE_DB = 20.0
-"""A window is cut where its level is at most this far below the recording's loudest window"""
+"""Windows are cut whose level is at most this far below the recording's loudest window"""
 SILENCE_LEVEL = 1e-5
-"""RMS against full scale, -100 dB: what is below all along is a muted recording"""
+"""RMS against full scale, -100 dB; a recording that is never above it is muted"""
 HOP_SAMPLES = 1000
-"""Between the windows that may be cut, 1/16 s"""
+"""Samples between the starts of candidate windows, 1/16 s"""
 VALIDATION_FILES = 10
-"""One file in so many only validates"""
+"""One file in this many only validates"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,18 +39,18 @@ class RecordedScenes:
 
     array: MicrophoneArray
     audio: Sequence[FloatArray]
-    """Each (N, T) float16 with a peak of 1"""
+    """Recordings, each (N, T) float16 with a peak of 1"""
     starts: Sequence[IntArray]
-    """For each the first samples of windows that are loud enough"""
+    """First samples of the windows that are loud enough, for each recording"""
 
     @classmethod
     def split(cls, folder: Path, array: MicrophoneArray) -> tuple[Self, Self]:
-        """Files to train on and files to validate with; of fewer than ten, all do both.
+        """Files to train on and files to validate with; fewer than ten files all do both.
 
         Raises
         ------
         ValueError
-            If there is no WAV or FLAC file, or one that cannot be used; the file is named.
+            If there is no WAV or FLAC file, or a file cannot be used; the message names it.
         """
         paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
         if not paths:
@@ -63,12 +63,12 @@ class RecordedScenes:
 
     @classmethod
     def load(cls, paths: Sequence[Path], array: MicrophoneArray) -> Self:
-        """Decode recordings and find what is loud enough in them."""
+        """Decode recordings and find their loud windows."""
         audio = [decode(path, array) for path in paths]
         return cls(array, audio, [loud_starts(samples) for samples in audio])
 
     def scenes(self, rng: np.random.Generator, config: TrainingConfig) -> Iterator[Scene]:
-        """Windows without end, every loud stretch as often as it is long."""
+        """An endless supply of windows, uniform over all loud ones."""
         windows = [(file, start) for file, starts in enumerate(self.starts) for start in starts]
         while True:
             file, start = windows[rng.integers(len(windows))]
@@ -77,13 +77,13 @@ class RecordedScenes:
 
 
 def decode(path: Path, array: MicrophoneArray) -> FloatArray:
-    """The array's channels (N, T) float16 of a recording at 16 kHz, scaled to a peak of 1.
+    """Decode the array's channels (N, T) float16 at 16 kHz, scaled to a peak of 1.
 
     Raises
     ------
     ValueError
-        If it cannot be decoded, has no channel for every microphone, is shorter than a window or
-        silent.
+        If the recording cannot be decoded, lacks a channel for a microphone, is shorter than a
+        window or silent.
     """
     try:
         with Recording.open(path) as recording:
@@ -93,15 +93,15 @@ def decode(path: Path, array: MicrophoneArray) -> FloatArray:
         raise ValueError(f"{path}: {error}") from error
     if samples.shape[1] < WINDOW_SAMPLES:
         seconds = WINDOW_SAMPLES / STFT.sample_rate
-        raise ValueError(f"{path}: shorter than a window of {seconds:.2f} s: leave it out")
+        raise ValueError(f"{path}: shorter than a window of {seconds:.2f} s: remove it")
     if window_levels(samples).max() < SILENCE_LEVEL:
-        raise ValueError(f"{path}: silent from beginning to end: leave it out")
-    # A recording's gain says nothing, and float16 has no room for the integers of some formats.
+        raise ValueError(f"{path}: silent from beginning to end: remove it")
+    # A recording's gain has no meaning, and float16 cannot hold the integers of some formats.
     return (samples / np.abs(samples).max()).astype(np.float16)
 
 
 def window_levels(samples: FloatArray) -> FloatArray:
-    """RMS over microphones and time of the windows (W,) that begin every ``HOP_SAMPLES``."""
+    """RMS (W,) over microphones and time of the windows that start every ``HOP_SAMPLES``."""
     power = np.square(samples, dtype=np.float32).mean(axis=0, dtype=np.float64)  # (T,)
     total = np.concatenate([[0.0], np.cumsum(power)])
     starts = np.arange(0, samples.shape[1] - WINDOW_SAMPLES + 1, HOP_SAMPLES)

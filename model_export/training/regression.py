@@ -31,6 +31,7 @@ from model_export.training.networks.fusion import FrequencyAttentionFusion
 from model_export.training.networks.regressor import CovarianceNetwork
 from model_export.training.networks.source_count import SourceCountNetwork
 from model_export.training.precision import training_precision
+from model_export.training.reparametrize import reparametrize
 from model_export.training.sscl import SsclTask, load_encoder
 from model_export.training.subspace import delay_products, signal_power, signal_projector
 from model_export.training.targets import target_spectrum
@@ -38,14 +39,19 @@ from model_export.training.task import (
     STFT,
     LocatedBatch,
     Task,
-    nearest_peak_error,
     padded_azimuths,
     steering_delays,
 )
 from service.doa.array import MicrophoneArray
+from service.doa.peaks import find_peaks
 from service.doa.presets import preset
+from service.doa.scoring import maae
 from service.doa.spectrogram import spectrogram_features
 from service.doa.steering import azimuth_grid
+from service.doa.types import FloatArray
+
+SCORED_GRID = 360
+"""Azimuths of the spectra that development scenes are scored by, as in a bundle"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +60,8 @@ class RegressionResult:
 
     fused: Tensor
     """(B, A) in (0, 1]"""
-    logits: Tensor
-    """(B, 5) of 0 to 4 sources"""
+    logits: Tensor | None
+    """(B, 5) of 0 to 4 sources, where they were asked for"""
     projector: Tensor
     """(B, F, N, N) complex, on the signal subspace"""
 
@@ -71,30 +77,44 @@ class RegressionPipeline(nn.Module):
         self.log_floor = nn.Parameter(torch.tensor(-3.2))
         """MUSIC's floor, about 0.04: the width of the peaks"""
 
-    def forward(self, features: Tensor, products: Tensor, num_sources: Tensor) -> RegressionResult:
+    def forward(
+        self,
+        features: Tensor,
+        products: Tensor,
+        num_sources: Tensor,
+        bins: Tensor | None = None,
+        *,
+        counts: bool = True,
+    ) -> RegressionResult:
         """Fused spectra and count logits.
 
         Parameters
         ----------
         features : (B, 2N, 257, 64) real
-        products : (257, N^2, A) real
+        products : (F, N^2, A) real
             The steering vectors' ``delay_products``, of the one array that all scenes share.
         num_sources : (B,) int
             The true counts in training (teacher forcing).
+        bins : (F,) int64, optional
+            Those that spectra are formed of, instead of all 257.
+        counts : bool
+            Whether the count branch runs.
         """
         # What follows needs float32's digits.
         with training_precision(features, training=self.training):
             features = features.contiguous(memory_format=torch.channels_last)
-            latent, logits = self.covariance.encoder(features), self.count(features)
-        parts = self.covariance.regressor(latent.float())  # (B, F, 2, N, N)
+            latent = self.covariance.encoder(features)
+            logits = self.count(features).float() if counts else None
+        chosen = latent if bins is None else latent[:, bins]
+        parts = self.covariance.regressor(chosen.float())  # (B, F, 2, N, N)
         covariance = torch.complex(parts[:, :, 0], parts[:, :, 1])  # (B, F, N, N)
         projector = counted_projector(covariance, num_sources)  # (B, F, N, N)
         # The scenes share a bin's steering vectors, hence bins first.
         power = signal_power(projector.transpose(0, 1), products)  # (F, B, A)
         spectrum = 1 / (1 - power.clamp(max=1) + self.log_floor.exp())  # (F, B, A)
         spectrum = spectrum / spectrum.amax(-1, keepdim=True)
-        fused = self.fusion(spectrum.transpose(0, 1))  # (B, A)
-        return RegressionResult(fused, logits.float(), projector)
+        fused = self.fusion(spectrum.transpose(0, 1), bins)  # (B, A)
+        return RegressionResult(fused, logits, projector)
 
 
 def counted_projector(covariance: Tensor, num_sources: Tensor) -> Tensor:
@@ -136,6 +156,8 @@ class RegressionBatch(LocatedBatch):
     """(B, 2N, 257, 64) float32, from ``service.doa.spectrogram``"""
     rotation: Tensor
     """() radians, counter-clockwise"""
+    bins: Tensor
+    """(F',) int64, those that the losses form spectra of"""
 
 
 def collate_regression(
@@ -154,8 +176,11 @@ def collate_regression(
         azimuth=azimuth + rotation,
         mask=mask,
         grid=torch.from_numpy(azimuth_grid(config.grid_size).astype(np.float32)),
-        features=torch.from_numpy(spectrogram_features(spectra, config.phase_reference)),
+        features=torch.from_numpy(
+            spectrogram_features(spectra, config.phase_reference, config.level_exponent)
+        ),
         rotation=torch.tensor(rotation),
+        bins=torch.arange(int(rng.integers(config.bin_step)), STFT.num_bins, config.bin_step),
     )
 
 
@@ -171,6 +196,7 @@ class RegressionTask:
         self.config = config
         self.array = preset(config.array)
         self.model = RegressionPipeline(self.array.num_microphones)
+        reparametrize(self.model, config)
 
     def start_from(self, start: Task[Any]) -> None:
         """Take the encoder of the self-supervised stage; everything else stays as it is.
@@ -185,44 +211,68 @@ class RegressionTask:
         load_encoder(self.model.covariance.encoder, start, self.config)
 
     def losses(self, batch: RegressionBatch) -> dict[str, Tensor]:
-        result, count = self._run(batch)
+        count = batch.mask.sum(-1)
+        products = rotated_products(self.array, batch.rotation, batch.grid[None], batch.bins)[0]
+        result = self.model(
+            batch.features, products, count, batch.bins, counts=self.config.count_weight > 0
+        )
         sigma = float(np.deg2rad(self.config.target_sigma_deg))
         target = target_spectrum(batch.azimuth, batch.mask, batch.grid, sigma)
         error = (result.fused - target).square().mean(-1)  # (B,)
         present = (count > 0).float()
         losses = {
             "spectrum": (present * error).sum() / present.sum().clamp(min=1),
-            "count": F.cross_entropy(result.logits, count),
             "subspace": subspace_distance(
                 result.projector,
-                rotated_products(self.array, batch.rotation, batch.azimuth),
+                rotated_products(self.array, batch.rotation, batch.azimuth, batch.bins),
                 batch.mask,
             ),
         }
-        loss = losses["spectrum"] + self.config.count_weight * losses["count"]
-        return {"loss": loss + self.config.subspace_weight * losses["subspace"], **losses}
+        loss = losses["spectrum"] + self.config.subspace_weight * losses["subspace"]
+        if result.logits is not None:
+            losses["count"] = F.cross_entropy(result.logits, count)
+            loss = loss + self.config.count_weight * losses["count"]
+        return {"loss": loss, **losses}
 
-    def scores(self, batch: RegressionBatch) -> dict[str, float]:
-        result, count = self._run(batch)
-        return {
-            "peak_error_deg": nearest_peak_error(result.fused, batch),
-            "count_accuracy": float((result.logits.argmax(-1) == count).float().mean()),
-        }
+    def scores(self, batch: RegressionBatch) -> dict[str, Tensor]:
+        """Errors of the peaks as the service picks them, the counts known, on a grid of a degree.
 
-    def _run(self, batch: RegressionBatch) -> tuple[RegressionResult, Tensor]:
+        Pairs are matched; a talker whom no peak is left for counts 90 degrees.
+        """
         count = batch.mask.sum(-1)
-        products = rotated_products(self.array, batch.rotation, batch.grid[None])
-        return self.model(batch.features, products[0], count), count
+        grid = torch.from_numpy(azimuth_grid(SCORED_GRID).astype(np.float32)).to(batch.grid.device)
+        products = rotated_products(self.array, batch.rotation, grid[None])[0]
+        counts = self.config.count_weight > 0
+        result = self.model(batch.features, products, count, counts=counts)
+        errors = [
+            maae(np.array([peak.azimuth for peak in find_peaks(fused, len(truth))]), truth)
+            for fused, truth in zip(result.fused.cpu().numpy(), _truths(batch), strict=True)
+            if len(truth)
+        ]
+        scores = {"error_deg": torch.rad2deg(torch.tensor(errors))}
+        if result.logits is not None:
+            scores["count_accuracy"] = (result.logits.argmax(-1) == count).float()
+        return scores
 
 
-def rotated_products(array: MicrophoneArray, rotation: Tensor, azimuth: Tensor) -> Tensor:
+def _truths(batch: LocatedBatch) -> list[FloatArray]:
+    """The azimuths (M,) of every scene's sources."""
+    rows = zip(batch.azimuth.cpu().numpy(), batch.mask.cpu().numpy(), strict=True)
+    return [azimuth[mask] for azimuth, mask in rows]
+
+
+def rotated_products(
+    array: MicrophoneArray, rotation: Tensor, azimuth: Tensor, bins: Tensor | None = None
+) -> Tensor:
     """``delay_products`` (B, F, N^2, A) for azimuths (B, A) of the array turned counter-clockwise.
 
-    ``rotation`` is a scalar in radians.
+    ``rotation`` is a scalar in radians; ``bins`` (F,) are all unless they are named.
     """
     positions = array.rotated(float(rotation)).positions
     delays = np.stack([steering_delays(positions, row) for row in azimuth.double().cpu().numpy()])
     frequencies = torch.from_numpy(STFT.frequencies).float()
+    if bins is not None:
+        frequencies = frequencies[bins.cpu()]
     return delay_products(
         torch.from_numpy(delays).to(azimuth.device), frequencies.to(azimuth.device)
     )

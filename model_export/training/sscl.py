@@ -1,18 +1,17 @@
 """Self-supervised spatial correlation learning, the first stage of the paper's training.
 
-One microphone is masked (``training.masking``) and reconstructed from the others; no direction
-is ever told, so unlabelled recordings serve as well as simulated scenes. Only the encoder goes on
-to the supervised stage. Deviations from the paper, whose decoder is a U-net that draws magnitude
-and phase of the masked channel as an image:
+One microphone is masked (``training.masking``) and reconstructed from the others. Directions are
+not used, so unlabelled recordings serve as well as simulated scenes. Only the encoder goes on to
+the supervised stage. The paper's decoder is a U-net that draws magnitude and phase of the masked
+channel as an image; this one differs:
 
-- The decoder says how to combine the other microphones: one complex coefficient per bin and pair
-  of microphones, for the whole window, by one linear map that all bins share, as the covariance
-  regressor has it. The reconstruction is the combination in every cell. No detail of a cell can
-  pass by the latent features, what they have to hold is the spatial correlation of their bin (for
-  one source the best coefficients are the covariance's entries), and row f of the latent features
-  learns to belong to bin f.
+- The decoder predicts how to combine the other microphones: one complex coefficient per bin and
+  pair of microphones, for the whole window, by one linear map that all bins share, as in the
+  covariance regressor. The reconstruction is this combination in every cell. The latent features
+  cannot carry details of single cells, only the spatial correlation of their bin (for one source
+  the best coefficients are the covariance's entries), and their row f learns to belong to bin f.
 - The error is that of the complex value, relative to the cell's norm: magnitude and phase at once,
-  without a wrapped phase to regress. It counts in masked cells only, and there in the louder half
+  without regressing a wrapped phase. It counts only in masked cells, and there in the louder half
   of every bin, since sensor noise cannot be reconstructed from other microphones.
 - 40 to 75 % of the microphone's cells are masked.
 """
@@ -33,6 +32,7 @@ from model_export.training.masking import draw_mask, masked_features
 from model_export.training.networks import LATENT
 from model_export.training.networks.encoder import Encoder
 from model_export.training.precision import training_precision
+from model_export.training.reparametrize import load_plain, reparametrize
 from model_export.training.task import STFT, Batch, Task
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
@@ -40,9 +40,9 @@ from service.doa.types import BoolArray, FloatArray
 
 
 class ReconstructionDecoder(nn.Module):
-    """Latent features (B, F, 64) to combination coefficients (B, F, N, N), complex.
+    """Maps latent features (B, F, 64) to combination coefficients (B, F, N, N), complex.
 
-    Row n holds what the other microphones contribute to microphone n; its own entry is zero.
+    Row n holds the other microphones' coefficients for microphone n; its own entry is zero.
     """
 
     def __init__(self, num_microphones: int) -> None:
@@ -58,7 +58,7 @@ class ReconstructionDecoder(nn.Module):
 
 
 class SsclPipeline(nn.Module):
-    """The supervised stage's encoder, and a decoder that is left behind."""
+    """The supervised stage's encoder, and a decoder that is discarded after this stage."""
 
     def __init__(self, num_microphones: int) -> None:
         super().__init__()
@@ -66,17 +66,18 @@ class SsclPipeline(nn.Module):
         self.decoder = ReconstructionDecoder(num_microphones)
 
     def forward(self, features: Tensor, spectra: Tensor, microphone: Tensor) -> Tensor:
-        """The masked microphones' spectra (B, F, L) complex, from all others'.
+        """Reconstruct the masked microphones' spectra (B, F, L) complex from all others'.
 
         Parameters
         ----------
         features : (B, 2N, 257, 64) real
-            With the microphone masked (``masking.masked_features``).
-        spectra : (B, N, 257, 64) complex
-            Those of the microphone itself are not looked at.
-        microphone : (B,) int
+            Features with the microphone masked (``masking.masked_features``).
+            spectra : (B, N, 257, 64) complex
+                Spectra of all microphones; those of the masked one are not used.
+            microphone : (B,) int
+                The masked microphone of every scene.
         """
-        # What follows needs float32's digits.
+        # The rest needs the precision of float32.
         with training_precision(features, training=self.training):
             latent = self.encoder(features.contiguous(memory_format=torch.channels_last))
         coefficients = self.decoder(latent.float())  # (B, F, N, N)
@@ -89,7 +90,7 @@ class MaskedBatch(Batch):
     """Scenes of N microphones, one of which is masked in every scene; F = 257 bins, L = 64."""
 
     features: Tensor
-    """(B, 2N, F, L) float32, the masked microphone's cells left out"""
+    """(B, 2N, F, L) float32, without the masked microphone's cells"""
     spectra: Tensor
     """(B, N, F, L) complex64, of unit norm over the microphones in every cell"""
     microphone: Tensor
@@ -98,15 +99,17 @@ class MaskedBatch(Batch):
     """(B, F, L) bool, the masked cells that count"""
 
 
-def collate_masked(rng: np.random.Generator, scenes: Sequence[Scene]) -> MaskedBatch:
-    """A random microphone and a random mask for every scene."""
+def collate_masked(
+    rng: np.random.Generator, scenes: Sequence[Scene], level_exponent: float = 0.0
+) -> MaskedBatch:
+    """Mask a random microphone of every scene with a random mask."""
     spectra = STFT.transform(np.stack([scene.audio for scene in scenes]))  # (B, N, F, L)
     microphone = rng.integers(spectra.shape[1], size=len(spectra))
     mask = np.stack([draw_mask(rng, *spectra.shape[2:]) for _ in scenes])
     power = (spectra.real**2 + spectra.imag**2).sum(axis=1)  # (B, F, L)
     norm = np.sqrt(np.maximum(power, np.finfo(np.float32).tiny))
     return MaskedBatch(
-        features=torch.from_numpy(masked_features(spectra, microphone, mask)),
+        features=torch.from_numpy(masked_features(spectra, microphone, mask, level_exponent)),
         spectra=torch.from_numpy(spectra / norm[:, None]),
         microphone=torch.from_numpy(microphone),
         cells=torch.from_numpy(mask & louder_half(power)),
@@ -120,7 +123,7 @@ class SsclTask:
     ----------
     config : TrainingConfig
     array : MicrophoneArray, optional
-        In the place of the configuration's preset.
+        Replaces the configuration's preset.
     """
 
     def __init__(self, config: TrainingConfig, array: MicrophoneArray | None = None) -> None:
@@ -131,15 +134,16 @@ class SsclTask:
         self.config = config
         self.array = array or preset(config.array)
         self.model = SsclPipeline(self.array.num_microphones)
+        reparametrize(self.model, config)
 
     def start_from(self, start: Task[Any]) -> None:
-        """Go on with another self-supervised run, such as from simulated to recorded scenes."""
+        """Continue another self-supervised run, such as from simulated to recorded scenes."""
         if not isinstance(start, SsclTask):
             raise ValueError(f"{self.config.name} starts from an `sscl` run, not from another kind")
-        self.model.load_state_dict(start.model.state_dict())
+        load_plain(self.model, start.model.state_dict())
 
     def losses(self, batch: MaskedBatch) -> dict[str, Tensor]:
-        """The share of the masked channel's power that is not reconstructed."""
+        """Share of the masked channel's power that is not reconstructed."""
         scenes = torch.arange(len(batch.microphone))
         truth = batch.spectra[scenes, batch.microphone]  # (B, F, L)
         reconstruction = self.model(batch.features, batch.spectra, batch.microphone)
@@ -148,32 +152,35 @@ class SsclTask:
         cells = batch.cells
         return {"loss": (error * cells).sum() / (power * cells).sum().clamp(min=1e-6)}
 
-    def scores(self, batch: MaskedBatch) -> dict[str, float]:
-        return {"unexplained": float(self.losses(batch)["loss"])}
+    def scores(self, batch: MaskedBatch) -> dict[str, Tensor]:
+        return {"unexplained": self.losses(batch)["loss"][None]}
 
 
 def louder_half(power: FloatArray) -> BoolArray:
-    """Cells of (B, F, L) above the median over time of their bin, bool; none where all is still."""
+    """Cells (B, F, L) bool whose power exceeds their bin's median over time; none in silence."""
     louder: BoolArray = power > np.median(power, axis=-1, keepdims=True)
     return louder
 
 
 def load_encoder(encoder: Encoder, start: SsclTask, config: TrainingConfig) -> None:
-    """Copy the self-supervised encoder's parameters and statistics, every one of them.
+    """Copy all parameters and statistics of the self-supervised encoder.
+
+    ``start`` is a run as ``train.load_run`` gives it, of the text's plain parameters.
 
     Raises
     ------
     ValueError
-        If its inputs meant something else (array, phase reference) or a name or shape differs.
+        If its array, phase reference or level exponent differs, or the name or shape of a
+        parameter.
     """
-    for setting in ("array", "phase_reference"):
+    for setting in ("array", "phase_reference", "level_exponent"):
         theirs, ours = getattr(start.config, setting), getattr(config, setting)
         if theirs != ours:
             raise ValueError(
                 f"{start.config.name} was trained with {setting} {theirs}, but {config.name} has "
-                f"{ours}: pretrain with the same"
+                f"{ours}: pretrain with the same {setting}"
             )
     try:
-        encoder.load_state_dict(start.model.encoder.state_dict())
+        load_plain(encoder, start.model.encoder.state_dict())
     except RuntimeError as error:
         raise ValueError(f"the encoder of {start.config.name} does not fit: {error}") from error

@@ -1,8 +1,9 @@
 """Differentiable subspaces in torch: the signal projector with its own gradient.
 
-Eigenvectors have no derivative where eigenvalues coincide, but the projector on the signal subspace
-depends only on the gap between signal and noise eigenvalues. Differentiating it as a whole is exact
-and stays finite inside degenerate subspaces, where torch.linalg.eigh's own gradient is wrong.
+Eigenvectors have no derivative where eigenvalues coincide, but the projector onto the signal
+subspace depends only on the gap between signal and noise eigenvalues. Differentiating the projector
+itself is exact and stays finite inside degenerate subspaces, where torch.linalg.eigh's gradient is
+wrong.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import torch
 from torch import Tensor
 
 RELATIVE_GAP_FLOOR = 1e-6
-"""Of the largest eigenvalue magnitude: a smaller gap makes the subspace itself arbitrary"""
+"""Least gap relative to the largest eigenvalue magnitude; below it the subspace is arbitrary"""
 
 
 class _SignalProjector(torch.autograd.Function):
@@ -39,14 +40,14 @@ class _SignalProjector(torch.autograd.Function):
 
 
 def signal_projector(covariance: Tensor, num_sources: int) -> Tensor:
-    """Projector Us Us^H on the eigenvectors of the ``num_sources`` largest eigenvalues.
+    """Projector Us Us^H onto the eigenvectors of the ``num_sources`` largest eigenvalues.
 
     Parameters
     ----------
     covariance : (..., N, N) complex
-        Hermitian.
-    num_sources : int
-        1 to N - 1.
+        Hermitian matrices R.
+        num_sources : int
+            Dimension of the signal subspace, 1 to N - 1.
 
     Returns
     -------
@@ -59,7 +60,7 @@ def signal_projector(covariance: Tensor, num_sources: int) -> Tensor:
 
 
 def dominance(covariance: Tensor, projector: Tensor) -> Tensor:
-    """Share of the signal subspace in the power, scaled so that an isotropic field gives 0.
+    """Share of the power in the signal subspace, scaled so that an isotropic field gives 0.
 
     Returns (...,) real: (tr(Ps R) / tr(R) - 1/N) / (1 - 1/N) for a projector of rank one.
     """
@@ -75,13 +76,13 @@ def delay_products(delays: Tensor, frequencies: Tensor) -> Tensor:
     Parameters
     ----------
     delays : (B, N, A) seconds
-        By which the microphones are ahead of the array's centre, for every direction.
+        Advances of the microphones over the array's centre, for every direction.
     frequencies : (F,) hertz
 
     Returns
     -------
     products : (B, F, N^2, A) real
-        |a_n|^2 = 1, then 2 Re and 2 Im of conj(a_i) a_j for i < j, a being the steering vectors.
+        For steering vectors a: |a_n|^2 = 1, then 2 Re and 2 Im of conj(a_i) a_j for i < j.
     """
     microphones = delays.shape[-2]
     first, second = torch.triu_indices(microphones, microphones, 1)
@@ -92,25 +93,25 @@ def delay_products(delays: Tensor, frequencies: Tensor) -> Tensor:
 
 
 def hermitian_rows(matrix: Tensor) -> Tensor:
-    """The N^2 real numbers of a Hermitian (..., N, N) in ``delay_products``' order."""
+    """The N^2 real numbers of a Hermitian (..., N, N) in the order of ``delay_products``."""
     first, second = torch.triu_indices(matrix.shape[-1], matrix.shape[-1], 1)
     upper = matrix[..., first, second]
     return torch.cat([matrix.diagonal(dim1=-2, dim2=-1).real, upper.real, upper.imag], dim=-1)
 
 
 def signal_power(projector: Tensor, products: Tensor) -> Tensor:
-    """a^H Ps a / N for every steering vector.
+    """Signal power a^H Ps a / N for every steering vector.
 
     Parameters
     ----------
     projector : (..., F, K, N, N) complex
         K matrices that share the bin's steering vectors.
     products : (..., F, N^2, A) real
-        From ``delay_products``.
+        Products from ``delay_products``.
 
-    Returns
+        Returns
     -------
     power : (..., F, K, A) real
-        Between 0 and 1.
+        Values between 0 and 1.
     """
     return hermitian_rows(projector) @ products / projector.shape[-1]

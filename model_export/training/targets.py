@@ -14,11 +14,12 @@ def wrapped_gaussians(azimuth: Tensor, grid: Tensor, sigma: float) -> Tensor:
     azimuth : (..., M) radians
     grid : (A,) radians
     sigma : float
-        Radians, small against pi: one wrap each way is then exact.
+        Radians, small against pi, so that one wrap each way is exact.
 
     Returns
     -------
     bumps : (..., M, A)
+    One spectrum per source.
     """
     difference = torch.remainder(grid - azimuth[..., None] + torch.pi, 2 * torch.pi) - torch.pi
     return torch.exp(-0.5 * (difference / sigma) ** 2)
@@ -36,8 +37,8 @@ def target_spectrum(azimuth: Tensor, mask: Tensor, grid: Tensor, sigma: float) -
 def spectrum_cross_entropy(fused: Tensor, target: Tensor, sharpness: Tensor) -> Tensor:
     """Cross entropy between softmax(sharpness * fused) and the target scaled to sum to one.
 
-    Permutation-free: the target is one distribution over angles, whatever the number of sources.
-    ``fused`` and ``target`` are (B, A); scenes without a source count nothing.
+    The loss is permutation-free: the target is one distribution over angles for any number of
+    sources. ``fused`` and ``target`` are (B, A); scenes without a source are left out.
     """
     mass = target.sum(-1, keepdim=True)
     present = mass[:, 0] > 0

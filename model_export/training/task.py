@@ -1,7 +1,7 @@
-"""What a variant must offer to be trained, and what the variants share.
+"""The interface of a variant under training, and functions that variants share.
 
-Scenes become a batch in the processes that simulate them, by the variant's ``collate``, which
-builds no network; a ``Task`` owns the model that learns from the batches.
+The processes that simulate scenes also make batches of them, with the variant's ``collate``, which
+builds no network. A ``Task`` owns the model that learns from the batches.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from service.inference.results import MAX_SOURCES
 
 STFT = Stft()
 SHORT_SAMPLES = STFT.num_samples(32)
-"""Half a second: what a stream's first results and short windows have"""
+"""Half a second, the length of short windows and of a stream's first results"""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Tensors that one step learns from; B is the number of scenes."""
+    """Tensors of one training step; B is the number of scenes."""
 
     def to(self, device: str) -> Self:
-        """The same on a device; scenes are simulated on the CPU whatever trains on them."""
+        """Copy the batch to a device; scenes are always simulated on the CPU."""
         tensors = ((each.name, getattr(self, each.name)) for each in fields(self))
         return type(self)(**{name: each.to(device, non_blocking=True) for name, each in tensors})
 
@@ -43,9 +43,9 @@ class LocatedBatch(Batch):
     azimuth: Tensor
     """(B, 4) radians"""
     mask: Tensor
-    """(B, 4) bool, which azimuths are sources"""
+    """(B, 4) bool, True where the azimuth is a source's"""
     grid: Tensor
-    """(A,) float32 radians, the angles that spectra are computed at"""
+    """(A,) float32 radians, the angles of the spectra"""
 
 
 BatchT = TypeVar("BatchT", bound=Batch, contravariant=True)
@@ -58,22 +58,26 @@ class Task(Protocol[BatchT]):
     def model(self) -> nn.Module: ...
 
     def start_from(self, start: Task[Any]) -> None:
-        """Take what an earlier stage has learned, or say why it does not fit (ValueError)."""
+        """Load what an earlier stage has learned; ValueError says why it does not fit."""
 
     def losses(self, batch: BatchT) -> dict[str, Tensor]: ...
 
-    def scores(self, batch: BatchT) -> dict[str, float]: ...
+    def scores(self, batch: BatchT) -> dict[str, Tensor]:
+        """One number a scene, or one a batch, by name; those in degrees end in ``_deg``."""
 
 
 def steering_delays(positions: FloatArray, azimuth: FloatArray) -> FloatArray:
-    """Advances (B, N, A) float32 in seconds of plane waves at microphones (B, N, 3)."""
+    """Advances (B, N, A) float32 in seconds of plane waves from azimuths (A,) in radians.
+
+    ``positions`` are the microphones (B, N, 3) in metres.
+    """
     centred = positions - positions.mean(axis=-2, keepdims=True)
     delays: FloatArray = centred @ unit_vectors(azimuth).T / SPEED_OF_SOUND
     return delays.astype(np.float32)
 
 
 def padded_azimuths(scenes: Sequence[Scene]) -> tuple[Tensor, Tensor]:
-    """``LocatedBatch.azimuth`` and ``mask``."""
+    """The fields ``azimuth`` and ``mask`` of a ``LocatedBatch``."""
     azimuth = torch.zeros(len(scenes), MAX_SOURCES)
     mask = torch.zeros(len(scenes), MAX_SOURCES, dtype=torch.bool)
     for index, scene in enumerate(scenes):
@@ -83,10 +87,9 @@ def padded_azimuths(scenes: Sequence[Scene]) -> tuple[Tensor, Tensor]:
     return azimuth, mask
 
 
-def nearest_peak_error(fused: Tensor, batch: LocatedBatch) -> float:
-    """Median distance in degrees from the highest peak to the nearest source."""
+def nearest_peak_error(fused: Tensor, batch: LocatedBatch) -> Tensor:
+    """Degrees from the highest peak of (B, A) to the nearest source, for every scene with any."""
     best = batch.grid[fused.argmax(-1)]
     gaps = torch.remainder(batch.azimuth - best[:, None] + torch.pi, 2 * torch.pi) - torch.pi
     errors = gaps.abs().masked_fill(~batch.mask, torch.inf).amin(-1)
-    finite = errors[torch.isfinite(errors)]
-    return float(torch.rad2deg(finite.median())) if len(finite) else 0.0
+    return torch.rad2deg(errors[torch.isfinite(errors)])

@@ -10,10 +10,11 @@ import csv
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -22,11 +23,15 @@ from torch.utils.data import DataLoader
 
 from model_export.training.config import TrainingConfig
 from model_export.training.fitting import CHECKPOINT, Fitting, checkpoint
+from model_export.training.reparametrize import merge
 from model_export.training.scene_stream import SceneSource, SceneStream
 from model_export.training.task import Batch, Task
-from model_export.training.variants import task_of
+from model_export.training.variants import collate, task_of
 
-VALIDATION_BATCHES = 8
+VALIDATION_BATCH = 16
+"""Scenes"""
+VALIDATION_SEED = 10**6
+LOG_STEPS = 500
 WARM_UP = 200
 """Steps in which the learning rate rises"""
 
@@ -44,12 +49,12 @@ def train(
     """Train until ``config.steps``, continuing from the run folder's checkpoint if there is one.
 
     ``init`` is the folder of the run that ``config.starts_from`` names. The run may go on on
-    another ``device`` than it began.
+    another ``device`` than it began. Without ``workers`` scenes are made between the steps.
 
     Returns
     -------
     task : Task
-        With the trained model in evaluation mode, on the CPU.
+        With the trained model in evaluation mode, on the CPU, merged into the text's network.
     """
     run.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(config.seed)
@@ -62,10 +67,12 @@ def train(
     _describe(run, config)
     fitting = Fitting(task.model, optimizer, config.steps, WARM_UP, run)
     if fitting.step >= config.steps:
-        task.model.cpu().eval()
-        return task
+        return _finished(task)
     stream = SceneStream(config, scenes, first_step=fitting.step)
-    loader = iter(DataLoader(stream, batch_size=None, num_workers=workers, prefetch_factor=4))
+    prefetched = 4 if workers else None
+    loader = iter(
+        DataLoader(stream, batch_size=None, num_workers=workers, prefetch_factor=prefetched)
+    )
     validation = [b.to(device) for b in _validation_batches(config, validation_scenes)]
     running: dict[str, float] = {}
     with _progress(config, fitting.step) as tell:
@@ -73,11 +80,17 @@ def train(
             losses = _optimize(fitting, task, next(loader).to(device))
             for name, value in losses.items():
                 running[name] = 0.98 * running.get(name, value) + 0.02 * value
-            tell(fitting.step, running["loss"])
+            tell(fitting, running["loss"])
             if fitting.step % config.checkpoint_every == 0 or fitting.step == config.steps:
                 scores = _validate(task, validation)
+                tell(fitting, running["loss"], scores)
                 _write_curves(run, fitting.step, running, scores)
                 fitting.save()
+    return _finished(task)
+
+
+def _finished(task: Task[Any]) -> Task[Any]:
+    merge(task.model)
     task.model.cpu().eval()
     return task
 
@@ -95,15 +108,14 @@ def _start_from(config: TrainingConfig, task: Task[Any], init: Path | None) -> N
 
 
 def load_run(run: Path) -> tuple[TrainingConfig, Task[Any], int]:
-    """A run's configuration, its task with the checkpoint's parameters, and the step."""
+    """A run's configuration, its task with the checkpoint's parameters, merged, and the step."""
     if not (run / CHECKPOINT).exists():
         raise FileNotFoundError(f"{run} holds no {CHECKPOINT}: train first")
     config = TrainingConfig.from_dict(json.loads((run / "config.json").read_text()))
     task = task_of(config)
     state = checkpoint(run)
     task.model.load_state_dict(state["model"])
-    task.model.eval()
-    return config, task, int(state["step"])
+    return config, _finished(task), int(state["step"])
 
 
 def _optimize(fitting: Fitting, task: Task[Any], batch: Batch) -> dict[str, float]:
@@ -114,15 +126,24 @@ def _optimize(fitting: Fitting, task: Task[Any], batch: Batch) -> dict[str, floa
 
 
 def _validate(task: Task[Any], batches: Sequence[Batch]) -> dict[str, float]:
+    """Means of all scores, and medians of those in degrees."""
     task.model.eval()
     with torch.no_grad():
         per_batch = [task.scores(batch) for batch in batches]
-    return {key: float(np.mean([scores[key] for scores in per_batch])) for key in per_batch[0]}
+    scores = {}
+    for name in per_batch[0]:
+        values = torch.cat([each[name] for each in per_batch]).cpu().numpy()
+        scores[name] = float(np.mean(values))
+        if name.endswith("_deg"):
+            scores[f"median_{name}"] = float(np.median(values))
+    return scores
 
 
 def _validation_batches(config: TrainingConfig, scenes: SceneSource) -> list[Batch]:
-    stream = iter(SceneStream(config, scenes, first_step=10**6))
-    return [next(stream) for _ in range(VALIDATION_BATCHES)]
+    rng = np.random.default_rng([config.seed, VALIDATION_SEED])
+    drawn = list(islice(scenes.scenes(rng, config), config.validation_scenes))
+    parts = range(0, len(drawn), VALIDATION_BATCH)
+    return [collate(config, rng, drawn[part : part + VALIDATION_BATCH]) for part in parts]
 
 
 def _describe(run: Path, config: TrainingConfig) -> None:
@@ -147,15 +168,38 @@ def _write_curves(
         writer.writerow(row)
 
 
+class _Tell(Protocol):
+    """Told the state of a training and, now and then, the scores of its validation."""
+
+    def __call__(
+        self, fitting: Fitting, loss: float, scores: Mapping[str, float] | None = None
+    ) -> None: ...
+
+
 @contextmanager
-def _progress(config: TrainingConfig, step: int) -> Iterator[Callable[[int, float], None]]:
-    """A progress bar; told the step and the running loss."""
+def _progress(config: TrainingConfig, first_step: int) -> Iterator[_Tell]:
+    """A progress bar, and a line every ``LOG_STEPS`` steps and for every validation."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.completed}/{task.total} loss {task.fields[loss]:.4f}"),
         TimeRemainingColumn(),
     )
+    began = time.monotonic()
     with Progress(*columns) as progress:
-        bar = progress.add_task(config.name, total=config.steps, completed=step, loss=math.nan)
-        yield lambda step, loss: progress.update(bar, completed=step, loss=loss)
+        bar = progress.add_task(
+            config.name, total=config.steps, completed=first_step, loss=math.nan
+        )
+
+        def tell(fitting: Fitting, loss: float, scores: Mapping[str, float] | None = None) -> None:
+            progress.update(bar, completed=fitting.step, loss=loss)
+            if scores is None and fitting.step % LOG_STEPS:
+                return
+            rate = (fitting.step - first_step) / (time.monotonic() - began)
+            line = f"{config.name} step {fitting.step} scenes {fitting.step * config.batch_size}"
+            line += f" loss {loss:.4f} steps/s {rate:.1f} rate {fitting.learning_rate:.2g}"
+            for name, value in (scores or {}).items():
+                line += f" {name} {value:.3f}"
+            print(line, file=progress.console.file, flush=True)
+
+        yield tell

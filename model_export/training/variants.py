@@ -1,4 +1,4 @@
-"""The variants: the task that trains a configuration, and the batches that it learns from."""
+"""The variants: the task of a configuration, and the batches that it learns from."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ def task_of(config: TrainingConfig) -> Task[Any]:
 
 
 def collate(config: TrainingConfig, rng: np.random.Generator, scenes: Sequence[Scene]) -> Batch:
-    """The batch that the configuration's task learns from; builds no network."""
+    """Make the batch for the configuration's task, without building a network."""
     if config.distils:
         return collate_cells(config, rng, scenes)
     if config.variant == "weights":
         return collate_weights(config, rng, scenes)
     if config.variant == "regression":
         return collate_regression(config, rng, scenes)
-    return collate_masked(rng, scenes)
+    return collate_masked(rng, scenes, config.level_exponent)

@@ -1,7 +1,7 @@
 """The `weights` variant: time-frequency weights from array-independent features.
 
-The network sees no geometry. What it gives, a weight and an attention per time-frequency cell,
-forms covariances of any array outside of it; EVD, MUSIC and fusion follow as in the paper.
+The network sees no geometry. Its outputs, a weight and an attention per time-frequency cell, form
+covariances of any array outside of it; EVD, MUSIC and fusion follow as in the paper.
 """
 
 from __future__ import annotations
@@ -20,20 +20,18 @@ from service.inference.weights import BLOCK_FRAMES, CELL_LOADING, kept_blocks
 
 BINS_PER_ROW = 4
 CHANNELS = 32
-"""Of the causal blocks and the heads"""
+"""Channels of the causal blocks and the heads"""
 NORM_MOMENTUM = 0.02
-"""Of the running means: torch's 0.1 follows a few odd batches, and the errors with them"""
+"""Momentum of the running means; torch's 0.1 lets a few odd batches raise the errors"""
 WINDOW_SHARE = 0.5
-"""Attention of a bin's whole window against the sum of its blocks'. The cross entropy would learn
-a tenth: blocks tell talkers apart; but in strong noise the longer average errs less."""
-
-
+"""Attention of a bin's whole window relative to the sum of its blocks'. The cross entropy would
+learn a tenth, since blocks tell talkers apart; in strong noise the longer average errs less."""
 KEPT_SHARE = 0.25
-"""Of a bin's blocks, those that are attended to most; the others count next to nothing"""
+"""Share of a bin's blocks that is kept, by attention; the others count next to nothing"""
 
 
 class PastContext(nn.Module):
-    """Residual causal convolution in time: what a row did up to ``2 * dilation`` frames before."""
+    """Residual causal convolution in time, over the previous ``2 * dilation`` frames of a row."""
 
     looks_ahead = False
 
@@ -47,12 +45,12 @@ class PastContext(nn.Module):
         return self.step(after_silence(hidden, self.reach), hidden)
 
     def step(self, joined: Tensor, hidden: Tensor) -> Tensor:
-        """The frames ``hidden``, given them and ``reach`` frames before them."""
+        """Output for the frames ``hidden``; ``joined`` has ``reach`` frames before them, too."""
         return F.relu(hidden + self.norm(self.convolution(joined)))
 
 
 class BandContext(nn.Module):
-    """Residual causal convolution of the band's mean: what all rows together do in time."""
+    """Residual causal convolution in time of the mean over all rows of the band."""
 
     def __init__(self, channels: int, length: int = 5) -> None:
         super().__init__()
@@ -70,29 +68,29 @@ class BandContext(nn.Module):
         return F.avg_pool2d(hidden, (1, hidden.shape[3]))
 
     def convolve(self, band: Tensor) -> Tensor:
-        """The first convolution of ``band`` (B, C, reach + L, 1)."""
+        """Apply the first convolution to ``band`` (B, C, reach + L, 1)."""
         return F.relu(_along_time(band, self.first))
 
     def step(self, band: Tensor, hidden: Tensor) -> Tensor:
-        """``hidden`` and in every row the second convolution of ``band`` (B, C, reach + L, 1)."""
-        # As an image of one row that is enlarged, onnxruntime keeps its blocked layout throughout.
+        """Add the second convolution of ``band`` (B, C, reach + L, 1) to ``hidden``'s rows."""
+        # Enlarging an image of one row lets onnxruntime keep its blocked layout throughout.
         scale = (1.0, float(hidden.shape[3]))
         band = _along_time(band, self.second)
         return hidden + F.interpolate(band, scale_factor=scale, mode="nearest")
 
 
 def after_silence(hidden: Tensor, frames: int) -> Tensor:
-    """(B, C, L, R) behind ``frames`` zeros."""
+    """Prepend ``frames`` zeros to (B, C, L, R) along L."""
     return F.pad(hidden, (0, 0, frames, 0))
 
 
 def _along_time(image: Tensor, convolution: nn.Conv1d) -> Tensor:
-    """A convolution over the frames of (B, C, L, 1)."""
+    """Apply a convolution along the frames of (B, C, L, 1)."""
     return F.conv2d(image, convolution.weight[..., None], convolution.bias)
 
 
 class Ahead(nn.Sequential):
-    """Three frames, one of them ahead, by ``width`` bins or rows around each ``stride`` of them."""
+    """Convolution over three frames, one of them ahead, and ``width`` bins or rows."""
 
     looks_ahead = True
 
@@ -115,15 +113,15 @@ class Ahead(nn.Sequential):
         return self.step(between_silence(hidden), hidden)
 
     def step(self, joined: Tensor, _hidden: Tensor) -> Tensor:
-        """L frames of (B, C, 1 + L + 1, R), the first and the last left out."""
+        """Output for the L inner frames of ``joined`` (B, C, 1 + L + 1, R)."""
         result: Tensor = super().forward(joined)
         return result
 
 
 class Separable(nn.Module):
-    """Residual ``Ahead`` of every channel by itself, then of the channels in every cell.
+    """Residual separable ``Ahead``: a convolution of each channel, then one across the channels.
 
-    A fifth of a dense convolution's operations, a quarter of its time.
+    It takes a fifth of a dense convolution's operations and a quarter of its time.
     """
 
     looks_ahead = True
@@ -141,25 +139,25 @@ class Separable(nn.Module):
         return self.step(between_silence(hidden), hidden)
 
     def step(self, joined: Tensor, hidden: Tensor) -> Tensor:
-        """The frames ``hidden``, given them and a frame before and behind them."""
+        """Output for the frames ``hidden``; ``joined`` has a frame before and after them, too."""
         return F.relu(hidden + self.norm(self._convolve(joined)))
 
     def _convolve(self, joined: Tensor) -> Tensor:
         if not (self.training and self.rows.weight.requires_grad):
             mixed: Tensor = self.mix(self.rows(joined))
             return mixed
-        # The same as one dense convolution, of which a CPU computes gradients in half the time.
+        # One dense convolution gives the same, and a CPU computes its gradients in half the time.
         dense = self.mix.weight * self.rows.weight[:, 0]
         return F.conv2d(joined, dense, padding=self.rows.padding)
 
 
 def between_silence(hidden: Tensor) -> Tensor:
-    """(B, C, L, R) with a frame of zeros before and behind it."""
+    """Add a frame of zeros before and after (B, C, L, R) along L."""
     return F.pad(hidden, (0, 0, 1, 1))
 
 
 def _ahead(trunk: Trunk) -> list[nn.Module]:
-    """The convolutions that look ahead, one frame each, to (B, 32, L, F/4)."""
+    """Convolutions that look ahead, one frame each; their output is (B, 32, L, F/4)."""
     if trunk == "strided":
         return [
             Ahead(NUM_FEATURES + 1, 24, 5, 2),
@@ -167,24 +165,25 @@ def _ahead(trunk: Trunk) -> list[nn.Module]:
             Ahead(32, 40),
             Ahead(40, CHANNELS),
         ]
-    # A row's four bins and those of both neighbours: strided, nothing has to be copied together.
+    # One strided convolution reads a row's four bins and both neighbours' without copies.
     first = Ahead(NUM_FEATURES + 1, CHANNELS, 3 * BINS_PER_ROW, BINS_PER_ROW)
     return [first, *(Separable(CHANNELS, 5) for _ in range(3))]
 
 
 class WeightsNetwork(nn.Module):
-    """Convolutions without pooling in time: features to weights and attentions.
+    """Convolutions without pooling in time: maps features to weights and attentions.
 
-    Input (B, 5, L, F), F a multiple of 4; output weights and attentions, each (B, L, F), in (0, 1)
-    and (0, inf). Frames come before bins, so that a stream's few frames are long rows. Four
-    convolutions look a frame ahead each, so that a stream's newest results are 64 ms late at most.
+    The input is (B, 5, L, F), F a multiple of 4. The outputs are weights in (0, 1) and attentions
+    in (0, inf), each (B, L, F). Frames come before bins, so that a stream's few frames are long
+    rows. Four convolutions look one frame ahead each, so a stream's newest results are at most
+    64 ms late.
 
     Parameters
     ----------
     trunk : str
-        ``"strided"`` reduces four bins to one row by two strides, all convolutions being dense;
-        ``"separable"`` by one, and separates what follows, which costs half as much
-        (docs/performance.md).
+        ``"strided"`` reduces four bins to one row by two strides and has dense convolutions only.
+        ``"separable"`` reduces them by one stride, has separable convolutions after it and costs
+        half as much (docs/performance.md).
     """
 
     def __init__(self, trunk: Trunk = "strided") -> None:
@@ -205,14 +204,14 @@ class WeightsNetwork(nn.Module):
         return self.cells(self.hidden(features))
 
     def hidden(self, features: Tensor) -> Tensor:
-        """What both heads see, (B, 32, L, F/4)."""
+        """Input (B, 32, L, F/4) of both heads."""
         hidden: Tensor = self.blocks(self.image(features))
         return hidden
 
     def image(self, features: Tensor) -> Tensor:
-        """What the first convolution sees: features and where in the band a bin lies."""
+        """Input of the first convolution: the features and each bin's place in the band."""
         batch, _, frames, bins = features.shape
-        # Where a bin lies decides how much an array can hear there; the convolutions cannot tell.
+        # An array's resolution depends on the frequency, which the convolutions cannot see.
         height = torch.linspace(-1, 1, bins, device=features.device, dtype=features.dtype)
         return torch.cat([features, height.expand(batch, 1, frames, bins)], 1)
 
@@ -222,17 +221,17 @@ class WeightsNetwork(nn.Module):
         return torch.sigmoid(cells[:, 0]), _softplus(cells[:, 1])
 
     def direct_share(self, hidden: Tensor) -> Tensor:
-        """Logits (B, L, F) of the strongest direct sound's share in a cell; only training asks."""
+        """Logits (B, L, F) of the strongest direct sound's share in a cell, for training only."""
         return _every_bin(self.share_head(hidden), 1)[:, 0]
 
 
 def _softplus(logits: Tensor) -> Tensor:
-    """log(1 + e^x) of operations that onnxruntime vectorises; its own takes five times as long."""
+    """log(1 + e^x) by vectorised operations; onnxruntime's Softplus takes five times as long."""
     return F.relu(logits) + torch.log(1 + torch.exp(-logits.abs()))
 
 
 def _every_bin(rows: Tensor, outputs: int) -> Tensor:
-    """From (B, outputs * 4, L, F/4) to (B, outputs, L, F)."""
+    """Reshape (B, outputs * 4, L, F/4) to (B, outputs, L, F)."""
     batch, _, frames, width = rows.shape
     cells = rows.reshape(batch, outputs, BINS_PER_ROW, frames, width)
     return cells.permute(0, 1, 3, 4, 2).reshape(batch, outputs, frames, width * BINS_PER_ROW)
@@ -240,7 +239,7 @@ def _every_bin(rows: Tensor, outputs: int) -> Tensor:
 
 @dataclass(frozen=True, slots=True)
 class FusedSpectrum:
-    """What the differentiable pipeline gives."""
+    """Outputs of the differentiable pipeline."""
 
     fused: Tensor
     """(B, A) in (0, 1)"""
@@ -257,9 +256,9 @@ class WeightsPipeline(nn.Module):
         super().__init__()
         self.network = WeightsNetwork(trunk)
         self.log_floor = nn.Parameter(torch.tensor(-4.5))
-        """MUSIC's floor for an array that resolves everything: the width of the peaks"""
+        """Log of MUSIC's floor at a resolution of 1, which sets the width of the peaks"""
         self.log_dominance_power = nn.Parameter(torch.tensor(0.0))
-        """Exponent of the dominance in the attention"""
+        """Log of the exponent of the dominance in the attention"""
         self.log_sharpness = nn.Parameter(torch.tensor(2.64))
 
     def forward(
@@ -278,14 +277,14 @@ class WeightsPipeline(nn.Module):
         features : (B, 5, F, L) real
         spectra : (B, N, F', L) complex
         products : (B, F', N^2, A) real
-            From ``delay_products``.
-        resolution : (B,) real
-            Of the arrays, from ``service.doa.steering.resolution``.
-        bins : (F',) integer, optional
-            The bins of ``spectra`` among those of the features: in training a part of them says
-            as much as all at half the price. By default all.
+            Products from ``delay_products``.
+            resolution : (B,) real
+                Resolutions of the arrays, from ``service.doa.steering.resolution``.
+            bins : (F',) integer, optional
+                Bins of ``spectra`` among those of the features, by default all. In training half of
+                them teach as much at half the cost.
         """
-        # What follows needs float32's digits.
+        # The rest needs the precision of float32.
         with training_precision(features, training=self.training):
             image = features.transpose(2, 3).contiguous(memory_format=torch.channels_last)
             hidden = self.network.hidden(image)
@@ -297,7 +296,7 @@ class WeightsPipeline(nn.Module):
         if bins is not None:
             weights, attention = weights[:, bins], attention[:, bins]
         blocks = block_covariances(spectra, weights)  # (B, F, K, N, N)
-        # Blocks tell talkers apart; the whole window, their sum, averages most of the noise.
+        # Blocks tell talkers apart; the whole window, their sum, averages out more of the noise.
         covariance = torch.cat([blocks, blocks.sum(2, keepdim=True)], 2)
         projector = signal_projector(covariance, 1)
         power = signal_power(projector, products)  # (B, F, K, A)
@@ -315,7 +314,7 @@ class WeightsPipeline(nn.Module):
 
 
 def _strongest(attended: Tensor) -> Tensor:
-    """Attentions (..., K) with only the strongest left, which the service computes spectra of."""
+    """Attentions (..., K) without the weak blocks, whose spectra the service does not compute."""
     least = attended.topk(kept_blocks(attended.shape[-1], KEPT_SHARE), -1).values[..., -1:]
     return attended * (attended >= least)
 

@@ -31,24 +31,24 @@ from service.doa.steering import resolution
 from service.doa.types import ComplexArray, FloatArray
 
 BIN_STEP = 2
-"""Every other bin, from a random one on, forms spectra in training"""
+"""Step between the bins whose spectra are computed in training; the first is random"""
 SHARE_WEIGHT = 2.0
 """Weight of the direct sound's share against the spectra's cross entropy"""
 
 
 @dataclass(frozen=True)
 class CellBatch(Batch):
-    """What the network hears and what is known of every cell; F = 256 bins, L frames."""
+    """The network's features and the truth of every cell; F = 256 bins, L frames."""
 
     features: Tensor
     """(B, 5, F, L) float32 array-independent features"""
     direct_share: Tensor
-    """(B, F, L) float32 share of the strongest direct sound in [0, 1], NaN where not known"""
+    """(B, F, L) float32 share of the strongest direct sound in [0, 1], NaN where unknown"""
 
 
 @dataclass(frozen=True)
 class WeightsBatch(CellBatch, LocatedBatch):
-    """What spectra are formed of, too, in a part F' of the bins."""
+    """A batch with the inputs of spectra, in a part F' of the bins."""
 
     spectra: Tensor
     """(B, N, F', L) complex64"""
@@ -63,14 +63,14 @@ class WeightsBatch(CellBatch, LocatedBatch):
 def collate_cells(
     config: TrainingConfig, rng: np.random.Generator, scenes: Sequence[Scene]
 ) -> CellBatch:
-    """Scenes, now and then half a second of them, as features without directions."""
+    """Features of scenes, or sometimes of half a second of them, without directions."""
     return CellBatch(*_cells(_cut(config, rng, scenes))[:2])
 
 
 def collate_weights(
     config: TrainingConfig, rng: np.random.Generator, scenes: Sequence[Scene]
 ) -> WeightsBatch:
-    """Scenes, now and then half a second of them, on a grid and bins of a random offset."""
+    """Batch of scenes, or sometimes of half a second of them; grid and bins start at random."""
     scenes = _cut(config, rng, scenes)
     features, shares, spectra = _cells(scenes)
     bins = np.arange(rng.integers(BIN_STEP), spectra.shape[2], BIN_STEP)
@@ -128,7 +128,7 @@ class WeightsTask:
         }
         return {"loss": losses["spectrum"] + SHARE_WEIGHT * losses["share"], **losses}
 
-    def scores(self, batch: WeightsBatch) -> dict[str, float]:
+    def scores(self, batch: WeightsBatch) -> dict[str, Tensor]:
         return {"peak_error_deg": nearest_peak_error(self._run(batch).fused, batch)}
 
     def _run(self, batch: WeightsBatch) -> FusedSpectrum:
@@ -154,8 +154,9 @@ def known_cross_entropy(logits: Tensor, target: Tensor) -> Tensor:
 def direct_share(scene: Scene) -> FloatArray:
     """Share of the strongest talker's direct sound in every cell, (F, L) float32 in [0, 1].
 
-    At the first microphone, |D|^2 / (|D|^2 + |X - D|^2) of the talker that is strongest there; 0
-    without talkers. It is what the weights should follow; NaN in recordings, where nobody knows.
+    The share is |D|^2 / (|D|^2 + |X - D|^2) at the first microphone, of the talker that is
+    strongest in the cell; 0 without talkers, and NaN in recordings, where it is unknown. The
+    weights should follow it.
     """
     if scene.direct is None or scene.heard is None:
         shape = (STFT.num_bins - 1, STFT.num_frames(scene.audio.shape[-1]))

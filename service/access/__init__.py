@@ -1,1 +1,1 @@
-"""API keys: who they are, what they may do, what they have used."""
+"""API keys: whose they are, what they allow, what they have used."""

@@ -2,10 +2,10 @@
 
 A token is 256 random bits behind a prefix that secret scanners can look for; the file has its
 SHA-256. A slow hash (bcrypt, Argon2) would protect nothing here: it makes guessing dear where
-people choose from few passwords, and nobody searches 2^256 tokens. It would make every request,
-and every wrong one, cost a tenth of a second instead.
+people choose from few passwords, and nobody searches 2^256 tokens. It would only make every
+request, right or wrong, cost a tenth of a second.
 
-The file has one JSON object a line; empty lines and lines that begin with ``#`` do not count::
+The file has one JSON object a line; empty lines and lines that begin with ``#`` are ignored::
 
     {"name": "robot-1", "sha256": "9f86...", "roles": ["stream"], "max_sessions": 2}
 """
@@ -25,8 +25,8 @@ from typing import Literal, get_args
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
-from service.errors import ConfigError
-from service.protocol.names import NAME
+from neuralmusic.errors import ConfigError
+from neuralmusic.protocol.names import NAME
 
 log = logging.getLogger(__name__)
 
@@ -40,29 +40,29 @@ HOW = "neuralmusic key new NAME --roles localize,stream"
 
 
 class Key(BaseModel):
-    """One line of the file: whom a token names and what it is good for."""
+    """One line of the file: a token's hash, its owner's name, its roles and limits."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
     name: str = Field(pattern=NAME)
-    """Of whoever has the token, for logs"""
+    """Name of the token's owner, for logs"""
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$", repr=False)
-    """Of the token, hexadecimal"""
+    """SHA-256 of the token, hexadecimal"""
     roles: tuple[Role, ...] = Field(min_length=1)
-    """What it is good for; ``admin`` is good for everything"""
+    """What the key allows; ``admin`` allows everything"""
     max_sessions: int | None = Field(None, ge=0)
-    """Streams at the same time"""
+    """Most streams at the same time"""
     max_uploads: int | None = Field(None, ge=0)
-    """Uploads at the same time"""
+    """Most uploads at the same time"""
     audio_seconds_per_hour: float | None = Field(None, gt=0, allow_inf_nan=False)
-    """Seconds of audio, in recordings and streams together"""
+    """Seconds of audio an hour, in recordings and streams together"""
     origins: tuple[str, ...] = ()
     """Web pages that may use this key, besides the service's own and those of the settings"""
     expires: AwareDatetime | None = None
-    """When it is good no more"""
+    """Time at which the key expires"""
 
     def allows(self, *roles: Role) -> bool:
-        """Whether it has one of the roles, or is an administrator's."""
+        """Whether the key has one of the roles, or ``admin``."""
         return "admin" in self.roles or not set(roles).isdisjoint(self.roles)
 
     @property
@@ -72,22 +72,22 @@ class Key(BaseModel):
 
 
 def new_token() -> str:
-    """A token that nobody guesses."""
+    """A random token that cannot be guessed."""
     return PREFIX + secrets.token_urlsafe(TOKEN_BYTES)
 
 
 def token_sha256(token: str) -> str:
-    """What the file holds of a token."""
+    """The hash by which the file knows a token."""
     return hashlib.sha256(token.encode("utf-8", "surrogatepass")).hexdigest()
 
 
 def read_keys(path: Path, *, empty: bool = False) -> tuple[Key, ...]:
-    """The keys of a file, which may hold none where ``empty``.
+    """The keys of a file; with ``empty`` it may hold none.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read, everybody may write to it, or a line is wrong.
+        If the file cannot be read, everybody can write to it, or a line is wrong.
     """
     _check_mode(path)
     try:
@@ -96,7 +96,7 @@ def read_keys(path: Path, *, empty: bool = False) -> tuple[Key, ...]:
     except OSError as error:
         raise ConfigError(f"keys {path} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise ConfigError(f"keys {path} is no text file: make one with {HOW}") from None
+        raise ConfigError(f"keys {path} is not a text file: make one with {HOW}") from None
     if len(text) > MAX_FILE_BYTES:
         raise ConfigError(f"keys {path} is larger than {MAX_FILE_BYTES} bytes")
     lines = enumerate((line.strip() for line in text.splitlines()), 1)
@@ -104,9 +104,9 @@ def read_keys(path: Path, *, empty: bool = False) -> tuple[Key, ...]:
     for what, values in (("name", [k.name for k in keys]), ("sha256", [k.sha256 for k in keys])):
         value, times = Counter(values).most_common(1)[0] if values else ("", 0)
         if times > 1:
-            raise ConfigError(f"keys {path} has the {what} {value} twice: every key has its own")
+            raise ConfigError(f"keys {path} has the {what} {value} twice: every key needs its own")
     if not (keys or empty):
-        raise ConfigError(f"keys {path} holds no key, so nobody could ask anything: {HOW}")
+        raise ConfigError(f"keys {path} holds no key, so nobody could use the service: {HOW}")
     return tuple(keys)
 
 
@@ -118,13 +118,13 @@ def _read_line(path: Path, number: int, line: str) -> Key:
         place = ".".join(str(part) for part in first["loc"])
         said = f"{place}: {first['msg']}" if place else first["msg"]
     except (ValueError, RecursionError):
-        said = "it is no JSON object"
+        said = "it is not a JSON object"
     # The line itself is not shown: somebody may have put a token there.
     raise ConfigError(f"keys {path}, line {number}: {said} (make lines with {HOW})")
 
 
 def _check_mode(path: Path) -> None:
-    """Whoever can write the file can make keys; reading it gives names and roles away."""
+    """Whoever can write the file can make keys; whoever reads it learns names and roles."""
     if os.name != "posix" or not path.is_file():
         return
     mode = path.stat().st_mode

@@ -1,7 +1,7 @@
-"""API keys: whose token it is, what it is good for, and how much of it.
+"""API keys: whose a token is, what it allows, and how much of it.
 
-Wrong tokens are not throttled: nobody searches 2^256 tokens, and behind a proxy, where all come
-from one address, one who tries would lock everybody out.
+Wrong tokens are not throttled: nobody searches 2^256 tokens, and behind a proxy, where all clients
+share one address, one attacker would lock everybody out.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
+from neuralmusic.errors import AccessError, KeyExpired, KeyMissing, KeyUnknown, RoleMissing
 from service.access.key_file import ROLES, Key, Role, read_keys, token_sha256
 from service.access.usage import Usage
-from service.errors import AccessError, KeyExpired, KeyMissing, KeyUnknown, RoleMissing
 
 ANYONE = Key(name="anyone", sha256="0" * 64, roles=ROLES)
-"""Whoever asks a service without keys: everything is allowed"""
+"""Stands for every client of a service without keys; everything is allowed"""
 
 
 class Keys:
-    """The keys of a service, and what each of them uses; without a file everything is open.
+    """The keys of a service and what each of them uses; without a file everything is open.
 
     Parameters
     ----------
     path : Path, optional
-        Of the file.
+        The file of keys.
     clock : callable
-        Seconds of a monotonic clock, for the seconds of audio.
+        Seconds of a monotonic clock, for the limit of audio an hour.
     today : callable
         The time in UTC, for dates of expiry.
 
@@ -58,7 +58,7 @@ class Keys:
         return self._path is not None
 
     def reload(self) -> None:
-        """Read the file anew; a wrong one raises ConfigError and leaves the keys as they were.
+        """Read the file again; a wrong one raises ConfigError and leaves the keys as they were.
 
         Streams of a key that is gone, has expired or lost its role end within a second.
         """
@@ -93,13 +93,13 @@ class Keys:
         Raises
         ------
         KeyUnknown, KeyExpired, RoleMissing
-            If it is good for that no more.
+            If the key no longer allows it.
         """
         current = self._valid(key.sha256) if self.needed else ANYONE
         if not current.allows(*roles):
             raise RoleMissing(
-                f"the key {current.name} is good for {', '.join(current.roles)}; this needs "
-                f"{' or '.join(roles)}"
+                f"this needs the role {' or '.join(roles)}; the key {current.name} has "
+                f"{', '.join(current.roles)}"
             )
         return current
 
@@ -126,7 +126,7 @@ class Keys:
             yield
 
     def charge(self, key: Key, seconds: float) -> None:
-        """Count seconds of audio of this key; any thread may."""
+        """Count seconds of audio of this key; safe to call from any thread."""
         self._used(key).charge(seconds, key.audio_seconds_per_hour)
 
     def check_audio(self, key: Key) -> None:
@@ -142,14 +142,14 @@ class Keys:
         if key is None:
             raise KeyUnknown("the service has no such key: check it, or ask for a new one")
         if key.expires is not None and key.expires <= self._today():
-            raise KeyExpired(f"the key {key.name} was good until {key.expires:%Y-%m-%d %H:%M %Z}")
+            raise KeyExpired(f"the key {key.name} expired on {key.expires:%Y-%m-%d %H:%M %Z}")
         return key
 
 
 def matching(keys: Sequence[Key], sha256: str) -> Key | None:
-    """The key of this hash; the time tells neither which it is nor how much of it was right."""
+    """The key with this hash, compared in constant time."""
     found = None
-    for key in keys:  # to the end, whatever was found
+    for key in keys:  # to the end, so that the time does not tell which one it is
         if hmac.compare_digest(key.sha256, sha256):
             found = key
     return found

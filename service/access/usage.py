@@ -7,17 +7,17 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 
-from service.errors import AudioQuota, DoaError, TooManySessions, TooManyUploads
+from neuralmusic.errors import AudioQuota, DoaError, TooManySessions, TooManyUploads
 
 HOUR_S = 3600.0
 
 
 class Usage:
-    """The counts of one key; safe to use from several threads. A limit of None is none.
+    """The counts of one key; safe to use from several threads. None means no limit.
 
-    Audio is a leaky bucket: what was used drains at the limit's own pace, so that a stream in
-    real time goes on for ever with a limit of 3600 s an hour, and whoever spent everything at once
-    may go on a little later, not an hour later. In any one hour at most twice the limit passes.
+    Audio is a leaky bucket: what was used drains at the limit's own pace. A stream in real time
+    runs for ever with a limit of 3600 s an hour, and a client that spent everything at once may
+    continue a little later, not an hour later. In any one hour at most twice the limit passes.
 
     Parameters
     ----------
@@ -30,22 +30,22 @@ class Usage:
         self._lock = threading.Lock()
         self._held: Counter[str] = Counter()
         self._audio_s = 0.0
-        """Seconds of audio that have not drained yet, at ``_since``"""
+        """Seconds of audio that had not drained at ``_since``"""
         self._since = clock()
 
     @property
     def idle(self) -> bool:
-        """True where no place is held."""
+        """True while the key has no stream and no upload."""
         return not any(self._held.values())
 
     def session(self, most: int | None) -> AbstractContextManager[None]:
         """Hold a place for a stream, or raise TooManySessions."""
-        refusal = TooManySessions(f"this key's streams reached its limit of {most}: close one")
+        refusal = TooManySessions(f"this key has reached its limit of {most} streams: close one")
         return self._place("sessions", most, refusal)
 
     def upload(self, most: int | None) -> AbstractContextManager[None]:
         """Hold a place for an upload, or raise TooManyUploads."""
-        refusal = TooManyUploads(f"this key's uploads reached its limit of {most}: wait for one")
+        refusal = TooManyUploads(f"this key has reached its limit of {most} uploads: wait for one")
         return self._place("uploads", most, refusal)
 
     @contextmanager
@@ -61,7 +61,7 @@ class Usage:
                 self._held[kind] -= 1
 
     def charge(self, seconds: float, per_hour: float | None) -> None:
-        """Count seconds of audio; they may exceed the limit, what follows is then refused."""
+        """Count seconds of audio; where they exceed the limit, what follows is refused."""
         with self._lock:
             self._drain(per_hour)
             self._audio_s += seconds
@@ -76,7 +76,7 @@ class Usage:
         if beyond >= 0:
             wait = max(1.0, beyond * HOUR_S / per_hour)
             raise AudioQuota(
-                f"this key has used its {per_hour:g} s of audio an hour: go on in {wait:.0f} s",
+                f"this key has used its {per_hour:g} s of audio an hour: continue in {wait:.0f} s",
                 wait,
             )
 

@@ -1,13 +1,13 @@
-"""For whoever runs the service."""
+"""``POST /admin/reload``: models and keys read again while the service runs."""
 
 from __future__ import annotations
 
 from fastapi import APIRouter, Request
 
+from neuralmusic.errors import Draining, NotReady, ReloadRefused
 from service.api.problems import problem_responses
 from service.api.schemas import ModelsAnswer
 from service.api.state import state_of
-from service.errors import Draining, NotReady, ReloadRefused
 
 router = APIRouter(prefix="/admin", tags=["service"])
 
@@ -18,7 +18,7 @@ router = APIRouter(prefix="/admin", tags=["service"])
     responses=problem_responses(ReloadRefused, NotReady, Draining),
 )
 async def reload(request: Request) -> ModelsAnswer:
-    """Read bundles and keys again, verify and self-test, and serve with them, as SIGHUP does.
+    """Read bundles and keys again, verify and self-test them, and use them, as SIGHUP does.
 
     Running streams and recordings keep the models that they began with. Keys are read first: a file
     that cannot be used is refused, and everything stays as it was. A bundle that cannot be used is

@@ -7,6 +7,7 @@ from typing import Any
 
 from fastapi import APIRouter, HTTPException, Request
 
+from neuralmusic.errors import NotReady, UnknownModel
 from service.api.problems import MEDIA_TYPE, problem_responses
 from service.api.schemas import (
     ArraysAnswer,
@@ -16,7 +17,6 @@ from service.api.schemas import (
 )
 from service.api.state import state_of
 from service.doa.presets import PRESETS
-from service.errors import NotReady, UnknownModel
 
 router = APIRouter(tags=["catalog"])
 
@@ -40,7 +40,7 @@ async def models(request: Request) -> ModelsAnswer:
     responses=NOT_FOUND | problem_responses(NotReady),
 )
 async def model(request: Request, name: str) -> ModelCardAnswer:
-    """One loaded model bundle, with its card: what it is for, made of and unfit for."""
+    """One loaded model bundle with its card: intended use, training data, limits."""
     registry = state_of(request).models()
     try:
         bundle = registry.get(name)

@@ -8,7 +8,7 @@ import anyio.to_thread
 from fastapi import APIRouter, Request, Response
 from starlette.requests import ClientDisconnect
 
-from service.api.contract.localize import LOCALIZE_ERRORS, LOCALIZE_EXAMPLE, localize_operation
+from service.api.contract.localize import LOCALIZE_ERRORS, localize_operation
 from service.api.middleware.guard import key_of
 from service.api.problems import problem_responses
 from service.api.state import ServiceState, state_of
@@ -26,10 +26,7 @@ router = APIRouter(tags=["localization"])
     summary="Localize a recording",
     response_model=LocalizationAnswer,
     response_description="Directions per window and for the whole recording",
-    responses={
-        200: {"content": {"application/json": {"example": LOCALIZE_EXAMPLE}}},
-        **problem_responses(*LOCALIZE_ERRORS),
-    },
+    responses=problem_responses(*LOCALIZE_ERRORS),
     openapi_extra=localize_operation(),
 )
 async def localize(request: Request) -> Response:

@@ -10,11 +10,7 @@ from typing import Annotated
 import anyio.to_thread
 from fastapi import APIRouter, HTTPException, Path, Request, Response
 
-from service.api.catalog import NOT_FOUND
-from service.api.middleware.guard import key_of
-from service.api.problems import problem_responses
-from service.api.state import state_of
-from service.errors import (
+from neuralmusic.errors import (
     DiskFull,
     InvalidOption,
     NoiseProfileInvalid,
@@ -23,15 +19,19 @@ from service.errors import (
     UnknownNoise,
     UploadTooLarge,
 )
+from neuralmusic.protocol.names import NAME_RULE
+from service.api.catalog import NOT_FOUND
+from service.api.middleware.guard import key_of
+from service.api.problems import problem_responses
+from service.api.state import state_of
 from service.inference.noise_profile import MAX_BYTES, load_noise, noise_bytes
 from service.inference.noise_store import NoiseStore, StoredNoise
-from service.protocol.names import NAME_RULE
 from service.recordings.answers import Answer
 
 MEDIA_TYPE = "application/octet-stream"
 BINARY = {"schema": {"type": "string", "format": "binary"}}
 SPOOL_BYTES = 2**20
-"""A profile up to this size stays in memory while it comes; those of real arrays are smaller"""
+"""Largest profile kept in memory while it arrives; those of real arrays are smaller"""
 
 router = APIRouter(tags=["noise"])
 
@@ -42,15 +42,15 @@ class NoiseAnswer(Answer):
     """A stored profile of a robot's own noise."""
 
     name: str
-    """What `noise` of `POST /localize` takes"""
+    """Name for `noise` of `POST /localize`"""
     array: str
-    """Name of the array that it was learnt with"""
+    """Name of the array that the noise was learnt with"""
     positions_m: list[list[float]]
-    """Of that array's microphones, metres"""
+    """Metres, `[x, y, z]` per microphone of that array"""
     seconds: float
-    """Audio that it was learnt from"""
+    """Seconds of audio that the noise was learnt from"""
     created: datetime
-    """When it was stored"""
+    """Time at which the profile was stored, UTC"""
 
     @classmethod
     def of(cls, stored: StoredNoise) -> NoiseAnswer:
@@ -68,7 +68,7 @@ class NoisesAnswer(Answer):
     """All stored profiles."""
 
     noise: list[NoiseAnswer]
-    """In the order of their names"""
+    """Profiles, sorted by name"""
 
 
 @router.get("/noise", summary="List the noise profiles")
@@ -105,7 +105,7 @@ async def get_noise(request: Request, name: Name) -> Response:
     openapi_extra={"requestBody": {"required": True, "content": {MEDIA_TYPE: BINARY}}},
 )
 async def put_noise(request: Request, name: Name) -> NoiseAnswer:
-    """Store a profile, as `neuralmusic noise` writes it, in place of the one of that name."""
+    """Store a profile that `neuralmusic noise` wrote; it replaces one of the same name."""
     state = state_of(request)
     with state.keys.upload(key_of(request)), SpooledTemporaryFile(SPOOL_BYTES) as file:
         size = 0
@@ -147,7 +147,7 @@ def _store(request: Request) -> NoiseStore:
 
 
 async def _found(request: Request, name: str) -> StoredNoise:
-    """The profile of this name; a path that names none is 404."""
+    """The profile of this name; 404 where there is none."""
     try:
         return await anyio.to_thread.run_sync(_store(request).get, name)
     except UnknownNoise as error:

@@ -1,4 +1,4 @@
-"""Messages on their way to one client: bounded, old results make room for new ones."""
+"""Messages on their way to one client: a bounded queue where old results make room for new ones."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ import asyncio
 from collections import deque
 from typing import NamedTuple
 
-from service.protocol.server_messages import Result, ServerMessage
+from neuralmusic.protocol.server_messages import Result, ServerMessage
 
 MAX_DROPPABLE = 32
-"""Results that wait for a client that reads slowly: three seconds at 10 Hz"""
+"""Most results queued for a client that reads slowly: three seconds at 10 Hz"""
 MAX_WAITING = 1024
-"""Messages of any kind; a client that asks faster than it reads loses the oldest"""
+"""Most messages of any kind; a client that asks faster than it reads loses the oldest"""
 
 
 class QueuedMessage(NamedTuple):
-    """One message that waits."""
+    """A message in the queue."""
 
     text: str
     droppable: bool
     arrived: float | None = None
-    """When the last of a result's audio came, seconds"""
+    """Time at which the last audio of a result arrived, seconds"""
 
 
 class Outbox:
@@ -33,7 +33,7 @@ class Outbox:
         self._closed = False
 
     def put(self, text: str, *, droppable: bool, arrived: float | None = None) -> int:
-        """Add a message; how many old results were dropped for it."""
+        """Add a message; return how many old results were dropped for it."""
         self._waiting.append(QueuedMessage(text, droppable, arrived))
         self._droppable += droppable
         self._event.set()
@@ -46,7 +46,7 @@ class Outbox:
         return dropped
 
     def close(self) -> None:
-        """Let ``get`` give None after what waits."""
+        """Let ``get`` return None once the queue is empty."""
         self._closed = True
         self._event.set()
 
@@ -70,7 +70,7 @@ class Outbox:
 
 
 def message_json(message: ServerMessage, *, spectrum: bool = True) -> str:
-    """A message as it is sent; a spectrum that is not wanted is absent, not null."""
+    """A message as it is sent; an unwanted spectrum is absent, not null."""
     if isinstance(message, Result) and (message.spectrum is None or not spectrum):
         return message.model_dump_json(exclude={"spectrum"})
     return message.model_dump_json()

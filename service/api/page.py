@@ -1,4 +1,4 @@
-"""The web page at the root, its files, and the signpost that programs get there instead.
+"""The web page at the root, its files, and the links that programs get there instead.
 
 The files are read once, so no path of a request ever reaches the file system.
 """
@@ -14,7 +14,7 @@ from typing import Literal
 
 from fastapi import APIRouter, HTTPException, Request, Response
 
-from service import __version__
+from neuralmusic import __version__
 from service.recordings.answers import Answer
 
 router = APIRouter(tags=["service"])
@@ -25,11 +25,11 @@ MEDIA_TYPES = {
     ".js": "text/javascript; charset=utf-8",
     ".svg": "image/svg+xml",
 }
-"""Not the system's table of types: with ``nosniff`` a browser runs no module of another type"""
+"""Media types by suffix; the system's table may differ, and ``nosniff`` then stops the modules"""
 HEADERS = {
-    # A browser asks each time whether its copy is the current one, so a page never mixes versions.
+    # A browser revalidates its copy each time, so a page never mixes versions.
     "Cache-Control": "no-cache",
-    # ws: and wss: since not every browser counts them as 'self'.
+    # ws: and wss: are named because not every browser counts them as 'self'.
     "Content-Security-Policy": "default-src 'self'; connect-src 'self' ws: wss:; "
     "object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'self'",
 }
@@ -42,16 +42,16 @@ class PageFile:
     content: bytes
     media_type: str
     etag: str
-    """Of the content: a file's date may be the same for two versions"""
+    """Hash of the content: two versions of a file may have the same date"""
 
 
 class RootAnswer(Answer):
-    """What there is."""
+    """Name, version and paths of the service."""
 
     name: Literal["neuralmusic"] = "neuralmusic"
     version: str
     links: dict[str, str]
-    """Paths by what they are"""
+    """Paths by what they lead to"""
 
 
 @cache
@@ -70,7 +70,7 @@ def page_files() -> dict[str, PageFile]:
 def asks_for_page(accept: str) -> bool:
     """Whether an ``Accept`` header names HTML before JSON, as browsers do and curl does not.
 
-    Only types that are written out count: ``*/*`` is what programs send that ask for nothing.
+    Only types that are written out count: programs without a preference send ``*/*``.
     """
     weights = {"text/html": 0.0, "application/json": 0.0}
     for part in accept.split(","):

@@ -1,4 +1,4 @@
-"""Probes for whoever runs the service; no model is touched."""
+"""Health probes; they touch no model."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from typing import Literal
 
 from fastapi import APIRouter, Request, Response
 
+from neuralmusic.errors import Draining, NotReady
+from service.api.contract.asyncapi import document_json
 from service.api.problems import problem_responses
 from service.api.state import state_of
-from service.errors import Draining, NotReady
-from service.protocol.asyncapi import document_json
 from service.recordings.answers import Answer
 
 router = APIRouter(tags=["service"])
 
 
 class StatusAnswer(Answer):
-    """That the service is there."""
+    """The service's status."""
 
     status: Literal["ok"] = "ok"
 
@@ -35,9 +35,9 @@ async def livez() -> StatusAnswer:
     responses=problem_responses(NotReady, Draining),
 )
 async def readyz(request: Request) -> StatusAnswer:
-    """200 once the models are loaded and self-tested and until the service is to stop, else 503.
+    """200 from when the models are loaded and self-tested until shutdown begins, else 503.
 
-    503 also while one of the two kinds of processes that compute has none that is ready.
+    Also 503 while no stream worker or no recording worker is ready.
     """
     state_of(request).check_ready()
     return StatusAnswer()

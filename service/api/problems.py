@@ -17,8 +17,8 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 from starlette.types import Receive, Scope, Send
 
+from neuralmusic.errors import UNEXPECTED, DoaError, InvalidOption, RoleMissing, Unauthorized
 from service.api.middleware.request_watch import PROBLEM
-from service.errors import UNEXPECTED, DoaError, InvalidOption, RoleMissing, Unauthorized
 
 log = logging.getLogger(__name__)
 
@@ -26,7 +26,7 @@ MEDIA_TYPE = "application/problem+json"
 TYPE_PREFIX = "urn:neuralmusic:problem:"
 METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
 RETRY_AFTER = 2
-"""Seconds; a worker localizes minutes of audio in that time"""
+"""Seconds to wait before a retry; a worker localizes minutes of audio in that time"""
 
 
 class Problem(BaseModel):
@@ -37,7 +37,7 @@ class Problem(BaseModel):
     type: str = Field(examples=[f"{TYPE_PREFIX}channel_mismatch"])
     """Identifies the kind of problem: `urn:neuralmusic:problem:` and the code"""
     title: str = Field(examples=["Channels do not fit the array"])
-    """The kind of problem in words; the same for every occurrence"""
+    """The kind of problem in words, the same for every occurrence"""
     status: int = Field(examples=[422])
     """The HTTP status"""
     detail: str = Field(
@@ -48,11 +48,11 @@ class Problem(BaseModel):
     )
     """What happened this time, and what to do"""
     code: str = Field(examples=["channel_mismatch"])
-    """For programs; never changes its meaning"""
+    """Stable identifier for programs; its meaning never changes"""
 
 
 class ProblemResponse(JSONResponse):
-    """A problem; whoever watches the requests finds its code in the scope."""
+    """A problem; its code is left in the scope for ``RequestWatch``."""
 
     media_type = MEDIA_TYPE
 
@@ -68,17 +68,17 @@ class ProblemResponse(JSONResponse):
 
 
 def problem_response(error: DoaError) -> Response:
-    """The response that an error becomes."""
+    """The response for an error."""
     return ProblemResponse(error.code, error.status, error.title, error.detail, _headers(error))
 
 
 def problem_responses(*errors: type[DoaError]) -> dict[int | str, dict[str, Any]]:
-    """OpenAPI responses that have every one of these errors as an example."""
+    """OpenAPI responses with each of these errors as an example."""
     responses: dict[int | str, dict[str, Any]] = {}
     for status in sorted({error.status for error in errors}):
         alike = sorted((e for e in errors if e.status == status), key=lambda error: error.code)
         responses[status] = {
-            # Not the status' phrase: Python's versions disagree on it.
+            # The status' phrase would differ between versions of Python.
             "description": ", ".join(f"`{error.code}`" for error in alike),
             "content": {
                 MEDIA_TYPE: {
@@ -113,7 +113,7 @@ async def _on_doa_error(request: Request, error: Exception) -> Response:
 
 
 async def _on_http_exception(request: Request, error: Exception) -> Response:
-    """Starlette's own refusals: no such path, wrong method."""
+    """Answer Starlette's own refusals: no such path, wrong method."""
     assert isinstance(error, HTTPException)
     status, path = error.status_code, request.url.path
     code, title, detail = f"http_{status}", "Refused", error.detail
@@ -146,11 +146,11 @@ async def _on_validation_error(request: Request, error: Exception) -> Response:
 
 
 async def _on_disconnect(request: Request, error: Exception) -> Response:
-    return Response(status_code=HTTPStatus.BAD_REQUEST)  # nobody is there to read it
+    return Response(status_code=HTTPStatus.BAD_REQUEST)  # the client has left
 
 
 async def _on_unexpected(request: Request, error: Exception) -> Response:
-    """Say nothing of the cause; the server logs the traceback and closes the connection."""
+    """Hide the cause; the server logs the traceback and closes the connection."""
     response = problem_response(DoaError(UNEXPECTED))
     response.headers["Connection"] = "close"
     return response
@@ -173,7 +173,7 @@ def _may_pass_later(error: DoaError | type[DoaError]) -> bool:
 
 
 def _challenge(error: str) -> str:
-    """After RFC 6750; whoever sent nothing is told no error."""
+    """``WWW-Authenticate`` by RFC 6750, which gives no error to a request without a key."""
     return 'Bearer realm="neuralmusic"' + (f', error="{error}"' if error else "")
 
 

@@ -1,12 +1,12 @@
-"""Answers about models and arrays; those about recordings are in ``service.recordings``."""
+"""Answers about models and arrays; ``service.recordings`` has those about recordings."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any, Literal, Self
 
+from neuralmusic.arrays import RAW_CHANNELS
 from service.doa.array import MicrophoneArray
-from service.doa.presets import RAW_CHANNELS
 from service.inference.bundle import Bundle
 from service.recordings.answers import Answer, ModelAnswer, Position
 
@@ -24,17 +24,17 @@ class BundleAnswer(ModelAnswer):
 
     description: str
     array: Literal["any"] | BoundArrayAnswer
-    """The array that it is bound to, or `any`"""
+    """The array that the model is bound to, or `any`"""
     sample_rate: int
-    """Hertz that recordings are resampled to"""
+    """Hertz to which recordings are resampled"""
     max_sources: int
-    """Most sources that it can count"""
+    """Most sources that the model can count"""
     scores: dict[str, Any]
-    """Results on held-out speakers, with the protocol that they were measured on"""
+    """Results on held-out speakers, with the protocol of the measurement"""
     licences: list[str]
     """Licences of the training data"""
     default: bool
-    """True where requests that name no model get this one, if it fits their array"""
+    """True for the model of requests that name none, where it fits their array"""
     details: str
     """Path of this answer with the model's card"""
 
@@ -80,9 +80,9 @@ class PresetAnswer(Answer):
     positions_m: list[Position]
     """Metres, `[x, y, z]` per raw microphone: x forward, y left, z up"""
     raw_channels: dict[str, list[int]]
-    """By the recording's channel count, the `channel_map` of the raw microphones"""
+    """The `channel_map` of the raw microphones by the recording's channel count"""
     source: str
-    """Where the positions come from"""
+    """Source of the positions"""
 
     @classmethod
     def of(cls, array: MicrophoneArray) -> Self:

@@ -11,23 +11,23 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, HTTPException, Query, Request
 from starlette.responses import Response, StreamingResponse
 
+from neuralmusic.errors import InvalidOption
+from neuralmusic.protocol.message import message_type
+from neuralmusic.protocol.methods import Method
+from neuralmusic.protocol.server_messages import Closing, ServerMessage, StreamError
 from service.api.catalog import NOT_FOUND
 from service.api.middleware.guard import key_of
 from service.api.outbox import message_json
 from service.api.problems import problem_responses
 from service.api.state import state_of
-from service.errors import InvalidOption
-from service.protocol.message import message_type
-from service.protocol.methods import Method
-from service.protocol.server_messages import Closing, ServerMessage, StreamError
 from service.recordings.answers import Answer
 from service.streaming.export import FORMATS, export_csv, export_json_lines
 from service.streaming.registry import SessionEntry
 
 KEEP_ALIVE_S = 15.0
-"""Seconds of silence after which a comment is sent, so that proxies keep the connection"""
+"""Seconds of silence after which a comment is sent, so that proxies keep the connection open"""
 MAX_EVENTS = 64
-"""Events that wait for a slow watcher; older ones are left out"""
+"""Most events queued for a slow watcher; older ones are left out"""
 HISTORY_S = 60.0
 """Seconds of results that a new watcher gets"""
 
@@ -39,22 +39,22 @@ class SessionAnswer(Answer):
 
     id: str
     client: str | None
-    """The name that it gave itself"""
+    """Name that the client gave itself"""
     array: str | None
-    """Null until the stream has been opened"""
+    """Name of the array; null until `start` was received"""
     model: str | None
     method: Method | None
     started_at: str
-    """ISO 8601, UTC"""
+    """Time at which the stream began: ISO 8601, UTC"""
     audio_s: float
     """Seconds of audio received"""
     results: int
     lag_ms: float
-    """Of the last result"""
+    """Milliseconds from audio to result, of the last result"""
     dropped_s: float
-    """Seconds of audio dropped to stay with the present"""
+    """Seconds of audio dropped so that results describe the present"""
     num_sources: int
-    """In the last result"""
+    """Number of sources in the last result"""
     state: Literal["running", "ended"]
 
     @classmethod
@@ -81,14 +81,14 @@ class SessionsAnswer(Answer):
     """The streams of this process."""
 
     sessions: list[SessionAnswer]
-    """Running ones first, then the last that ended"""
+    """Running streams first, then the last that ended"""
     max_sessions: int
-    """How many may run"""
+    """Most streams that may run at the same time"""
 
 
 @router.get("/sessions", summary="List the streams")
 async def sessions(request: Request) -> SessionsAnswer:
-    """Running streams, and the last that ended, whose results can still be exported."""
+    """Running streams, and ended ones whose results can still be exported."""
     streams = state_of(request).streams
     return SessionsAnswer(
         sessions=[SessionAnswer.of(entry) for entry in streams], max_sessions=streams.max_sessions
@@ -109,7 +109,7 @@ async def sessions(request: Request) -> SessionsAnswer:
     },
 )
 async def session_events(request: Request, session_id: str) -> StreamingResponse:
-    """Everything that a running stream tells its client, for dashboards."""
+    """Every message that a running stream sends to its client, for dashboards."""
     entry = _entry(request, session_id)
     keys, key = state_of(request).keys, key_of(request)
     events = _events(entry, lambda: keys.holds(key, "watch"))
@@ -156,7 +156,7 @@ def _entry(request: Request, session_id: str) -> SessionEntry:
 
 
 async def _events(entry: SessionEntry, allowed: Callable[[], bool]) -> AsyncIterator[str]:
-    """Server-sent events of one session until it ends, or the watcher may watch no more."""
+    """Server-sent events of one session until it ends or the watcher's key no longer allows it."""
     waiting: asyncio.Queue[ServerMessage] = asyncio.Queue(MAX_EVENTS)
 
     def watch(message: ServerMessage) -> None:
@@ -187,7 +187,7 @@ async def _events(entry: SessionEntry, allowed: Callable[[], bool]) -> AsyncIter
 
 
 def _history(entry: SessionEntry) -> list[tuple[float, float, int, float, bool]]:
-    """``[t_end, azimuth_deg, id, confidence, active]`` of every source of the last minute."""
+    """``[t_end, azimuth_deg, id, confidence, active]`` for every source of the last minute."""
     history = tuple(entry.reporter.account.history)
     since = history[-1].t_end - HISTORY_S if history else 0.0
     return [

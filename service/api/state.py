@@ -1,4 +1,4 @@
-"""What the endpoints share: settings, worker processes, loaded models, what is counted."""
+"""What the endpoints share: settings, worker processes, loaded models, metrics."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import anyio.to_thread
 from anyio import CapacityLimiter
 from fastapi import Request
 
+from neuralmusic.errors import DoaError, NotReady, ReloadRefused
 from service.access.keys import Keys
 from service.api.reloads import Reloads, within
 from service.audio.recording import AudioLimits
-from service.errors import DoaError, NotReady, ReloadRefused
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.lifecycle import Lifecycle, Phase
@@ -49,15 +49,15 @@ class ServiceState:
     stream_workers: StreamWorkers
     lifecycle: Lifecycle
     registry: BundleRegistry | None = None
-    """None until the bundles are loaded and self-tested"""
+    """Loaded bundles; None until they are self-tested"""
     noise: NoiseStore = field(default_factory=NoiseStore)
     """Profiles of robots' own noises"""
     metrics: Metrics = field(default_factory=Metrics)
     traces: Traces = field(default_factory=Traces)
     noise_checks: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(1))
-    """The largest profile takes some hundred megabytes while it is checked"""
+    """Limits checks to one at a time: the largest profile takes some hundred megabytes"""
     keys: Keys = field(default_factory=Keys)
-    """Who may do what"""
+    """API keys; they decide who may do what"""
     _key_reloads: Reloads[None] = field(init=False)
     _model_reloads: Reloads[BundleRegistry] = field(init=False)
     _tending: asyncio.Task[None] | None = None
@@ -69,7 +69,7 @@ class ServiceState:
 
     @classmethod
     def of(cls, settings: Settings) -> ServiceState:
-        """The state of an application that has loaded nothing yet; ConfigError without extras."""
+        """The state before anything is loaded; ConfigError where an extra is missing."""
         metrics, lifecycle = Metrics(), Lifecycle()
         return cls(
             settings,
@@ -86,7 +86,7 @@ class ServiceState:
         )
 
     def gauges(self) -> Gauges:
-        """What a scrape sees of this moment."""
+        """The gauges at this moment, for a scrape."""
         bundles = self.registry.bundles if self.registry else ()
         return Gauges(
             sessions=self.streams.running,
@@ -112,7 +112,7 @@ class ServiceState:
         self.stream_workers.setup = self.recording_workers.setup = setup
 
     async def load(self) -> None:
-        """Load the bundles, if they are not there yet; BundleError or ConfigError otherwise."""
+        """Load the bundles unless they are loaded; raises BundleError or ConfigError."""
         if self.registry is None:
             self.install(await anyio.to_thread.run_sync(load_registry, self.settings))
 
@@ -203,7 +203,7 @@ class ServiceState:
         await anyio.to_thread.run_sync(self.recording_workers.renew, prepared)
 
     def drain(self) -> None:
-        """Accept nothing new and end all streams in order."""
+        """Begin a graceful shutdown: accept nothing new, end all streams in order."""
         self.lifecycle.enter(Phase.DRAINING)
         self.streams.drain()
 
@@ -224,19 +224,19 @@ class ServiceState:
 
     @property
     def ready(self) -> bool:
-        """Whether new work may come: /readyz in one word."""
+        """Whether new work may come, as ``/readyz`` answers."""
         loaded = self.registry is not None and self._has_workers
         return loaded and not self.lifecycle.reached(Phase.LEAVING)
 
     def check_ready(self) -> None:
-        """Raise NotReady or Draining where new work had better go elsewhere."""
+        """Raise NotReady or Draining where new work should go elsewhere."""
         self.admit()
         self.lifecycle.check(Phase.LEAVING)
         if not self._has_workers:
             raise NotReady("no process that computes is ready: try again in a moment")
 
     def admit(self) -> BundleRegistry:
-        """The loaded bundles for something new; raises Draining once the service shuts down."""
+        """The loaded bundles for new work; raises Draining once the service shuts down."""
         self.lifecycle.check(Phase.DRAINING)
         return self.models()
 

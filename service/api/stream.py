@@ -1,4 +1,4 @@
-"""``WS /stream``: one session over one WebSocket; no numerics, no waiting for anybody."""
+"""``WS /stream``: one session over one WebSocket; no numerics, nothing that blocks the loop."""
 
 from __future__ import annotations
 
@@ -11,14 +11,7 @@ from functools import partial
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from starlette.types import Message
 
-from service.access.key_file import Key
-from service.access.keys import ANYONE
-from service.api.middleware.guard import key_of
-from service.api.outbox import Outbox, message_json
-from service.api.problems import problem_response
-from service.api.state import ServiceState
-from service.api.stream_watch import StreamWatch
-from service.errors import (
+from neuralmusic.errors import (
     UNEXPECTED,
     AccessError,
     AudioQuota,
@@ -27,11 +20,18 @@ from service.errors import (
     SubprotocolMissing,
     TooManySessions,
 )
+from neuralmusic.protocol import SUBPROTOCOL
+from neuralmusic.protocol.close_codes import CloseCode
+from neuralmusic.protocol.server_messages import RESULTS, ServerMessage, Stats
+from service.access.key_file import Key
+from service.access.keys import ANYONE
+from service.api.middleware.guard import key_of
+from service.api.outbox import Outbox, message_json
+from service.api.problems import problem_response
+from service.api.state import ServiceState
+from service.api.stream_watch import StreamWatch
 from service.machine.memory import give_back_memory
 from service.observability.logs import session_id
-from service.protocol import SUBPROTOCOL
-from service.protocol.close_codes import CloseCode
-from service.protocol.server_messages import RESULTS, ServerMessage, Stats
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session
 from service.streaming.work import Close, Outcome
@@ -40,24 +40,24 @@ from service.workers.stream_pool import worker_lost
 log = logging.getLogger(__name__)
 
 TICK_S = 1.0
-"""Seconds between looks at the clock"""
+"""Seconds between ticks of a session"""
 SEND_TIMEOUT_S = 10.0
-"""Seconds in which a client must read something"""
+"""Seconds within which a client must read something"""
 MESSAGES_PER_S = 500
-"""That are read of one client; whoever sends more waits, so that others do not"""
+"""Most messages a second read from one client; the rest wait, so that other clients need not"""
 PAUSE_S = 0.05
 BURST = 1000
-"""Messages beyond, after a quiet time"""
+"""Most messages above that rate after a quiet time"""
 
 DROPPABLE = (*RESULTS, Stats)
-"""Messages that are about now: old ones make room for new ones"""
+"""Messages that describe the present: old ones make room for new ones"""
 
 router = APIRouter()
 
 
 @router.websocket("/stream")
 async def stream(websocket: WebSocket) -> None:
-    """A session after the protocol ``doa.v1``; see docs/protocol.md."""
+    """A session by the protocol ``doa.v1``; see docs/protocol.md."""
     state: ServiceState = websocket.app.state.service
     key = key_of(websocket)
     with ExitStack() as held:
@@ -67,12 +67,12 @@ async def stream(websocket: WebSocket) -> None:
         except DoaError as error:
             await websocket.send_denial_response(problem_response(error))
             return
-        # It takes its place before it is accepted, so that two cannot take the last one.
+        # The stream takes its place before it is accepted, so that two cannot take the last one.
         await Connection(websocket, state, key).run()
 
 
 def _check_handshake(websocket: WebSocket, state: ServiceState) -> None:
-    """Raise whatever refuses this client before the connection is accepted."""
+    """Raise the error that refuses this client before the connection is accepted."""
     if SUBPROTOCOL not in websocket.scope["subprotocols"]:
         raise SubprotocolMissing(
             f"/stream speaks the WebSocket subprotocol {SUBPROTOCOL}: offer it"
@@ -98,9 +98,9 @@ class Connection:
         self._broken = False
         """The session's code has raised: it is called no more"""
         self._sending: float | None = None
-        """Since when a message is being sent, by the loop's clock"""
+        """Loop time at which the message being sent began"""
         self._room = asyncio.Event()
-        self._room.set()  # the first message has room before anything was pumped
+        self._room.set()  # there is room for the first message before the first pump
         reporter = self._reporter = Reporter(self._emit)
         ident = self._streams.new_id()
         session_id.set(ident)  # the task is this stream's alone
@@ -166,7 +166,9 @@ class Connection:
                 try:
                     task.result()
                 except TimeoutError:
-                    self.session.fail(StreamTimeout(f"nothing was read for {SEND_TIMEOUT_S:g} s"))
+                    self.session.fail(
+                        StreamTimeout(f"the client read nothing in {SEND_TIMEOUT_S:g} s")
+                    )
 
     def _pump(self) -> None:
         """Hand out the session's next work, make room, close what is closed."""
@@ -229,7 +231,7 @@ class Connection:
             self._check_client()
 
     def _heard(self, audio_s: float, dropped_s: float) -> None:
-        """Count the audio of a message, and end the session where the key's is used up."""
+        """Count the audio of a message; end the session where the key's audio is used up."""
         self._watch.heard(audio_s, dropped_s)
         self._keys.charge(self._key, audio_s)
         try:
@@ -238,22 +240,21 @@ class Connection:
             self.session.fail(error)
 
     def _check_key(self) -> None:
-        """End the session where its key is good no more."""
+        """End the session where its key no longer allows it."""
         try:
             self._key = self._keys.check(self._key, "stream")
         except AccessError as error:
             self.session.fail(error)
 
     def _check_client(self) -> None:
-        """One client name may have a bounded number of streams."""
+        """Raise TooManySessions where this client's name has its most streams."""
         client = self._entry.client
         if self.session.state != "opening" or client is None:
             return
         if sum(each.client == client for each in self._streams.running_entries()) > self._most:
             self.session.fail(
                 TooManySessions(
-                    f"the client {client} has {self._most} streams, as many as one may: close "
-                    "one, or raise NEURALMUSIC_MAX_SESSIONS_PER_CLIENT"
+                    f"the client {client} has reached its limit of {self._most} streams: close one"
                 )
             )
 

@@ -1,4 +1,4 @@
-"""One stream as whoever runs the service sees it: counted as it goes, logged where it turns."""
+"""Metrics and log lines of one stream."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping
 from contextvars import copy_context
 from typing import Any
 
-from service.observability.metrics import Metrics
-from service.protocol.server_messages import (
+from neuralmusic.protocol.server_messages import (
     RESULTS,
     Closing,
     OdasSsl,
@@ -16,6 +15,7 @@ from service.protocol.server_messages import (
     ServerMessage,
     StreamError,
 )
+from service.observability.metrics import Metrics
 from service.streaming.account import Account
 
 log = logging.getLogger(__name__)
@@ -27,9 +27,9 @@ class StreamWatch:
     Parameters
     ----------
     account : Account
-        Of the stream's session, read here.
+        The account of the stream's session; it is only read.
     time : callable
-        Seconds of the session's clock.
+        The session's clock, seconds.
     """
 
     def __init__(self, metrics: Metrics, account: Account, time: Callable[[], float]) -> None:
@@ -37,17 +37,17 @@ class StreamWatch:
         self._account = account
         self._time = time
         self._context = copy_context()
-        """With the ids of the request, the stream and the span: what a worker says comes without"""
+        """Ids of request, stream and span, which a worker's messages come without"""
         self._reason = "vanished"
         self._detail: str | None = None
 
     def heard(self, audio_s: float, dropped_s: float) -> None:
-        """Count the seconds of audio that a message brought, and of those that were dropped."""
+        """Count the seconds of audio that a message brought, and those that were dropped."""
         self._metrics.audio("stream", audio_s)
         self._metrics.audio_dropped(dropped_s)
 
     def said(self, message: ServerMessage, client: str | None) -> float | None:
-        """Take note of a message to the client; the arrival of a result's last audio, or None."""
+        """Note a message to the client; return when a result's last audio arrived, or None."""
         if isinstance(message, RESULTS) and not isinstance(message, OdasSsl):  # an sst follows
             lag = self._account.lag_ms / 1000
             self._metrics.lag(lag)

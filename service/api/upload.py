@@ -13,7 +13,7 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 
-from service.errors import (
+from neuralmusic.errors import (
     DiskFull,
     DoaError,
     InvalidOption,
@@ -28,16 +28,16 @@ MAX_FILES = 4
 MAX_FIELD_BYTES = 64 * 2**10
 
 PIECE_BYTES = 2**20
-"""Of a body handed on at a time: every piece crosses to a thread that writes it to the disk"""
+"""Least bytes of a body in a piece: each piece crosses to a thread that writes it to the disk"""
 
 HOW = "send the recording as multipart field 'audio' (curl -F audio=@recording.wav)"
 
 
 class Pieces(Request):
-    """A request whose body comes in a few large pieces, not in the server's many small ones."""
+    """A request that joins the server's many small pieces of a body into few large ones."""
 
     async def stream(self) -> AsyncGenerator[bytes, None]:
-        """The body, in pieces of at least ``PIECE_BYTES`` but for the last one."""
+        """The body in pieces of at least ``PIECE_BYTES``, except the last one."""
         piece = bytearray()
         async for chunk in super().stream():
             piece += chunk
@@ -49,7 +49,7 @@ class Pieces(Request):
 
 @dataclass(frozen=True, slots=True)
 class Upload:
-    """A recording as it arrived, and the options that came with it."""
+    """A recording as it arrived, with its options."""
 
     file: BinaryIO
     options: list[tuple[str, str]]
@@ -57,18 +57,18 @@ class Upload:
 
 @asynccontextmanager
 async def read_upload(request: Request) -> AsyncIterator[Upload]:
-    """The request's recording and options; the temporary file lives as long as the context.
+    """The request's recording and options; the temporary file lasts as long as the context.
 
     Raises
     ------
     UnsupportedMediaType
         If the body is neither a form nor audio.
     MissingAudio
-        If there is no recording in it.
+        If the body holds no recording.
     UploadTooLarge
-        From the body limit, while the body is read.
+        If the body exceeds the limit while it is read.
     DiskFull
-        If it cannot be stored.
+        If the body cannot be stored.
     """
     request = Pieces(request.scope, request.receive)
     is_form = _media_type(request) == "multipart/form-data"
@@ -76,7 +76,7 @@ async def read_upload(request: Request) -> AsyncIterator[Upload]:
         try:
             body = _form(request) if is_form else _raw(request)
             upload, size = await stack.enter_async_context(body)
-            # A worker process gets the descriptor of a real file, which has no name.
+            # A worker process gets the file's descriptor; the file has no name.
             upload.file.fileno()
             upload.file.flush()
         except OSError as error:
@@ -123,7 +123,7 @@ async def _form(request: Request) -> AsyncIterator[tuple[Upload, int]]:
 
 
 def _check_charset(request: Request) -> None:
-    """Raise UploadError where the form's texts are not UTF-8: some codecs give no text at all."""
+    """Raise UploadError where the form's charset is not UTF-8: some codecs give no text at all."""
     charset = parse_options_header(request.headers["content-type"])[1].get(b"charset", b"utf-8")
     if charset.lower() not in (b"utf-8", b"utf8", b"us-ascii"):
         raise UploadError(f"the form's charset is {charset.decode('latin-1')[:40]!r}: send UTF-8")

@@ -1,1 +1,1 @@
-"""Audio as bytes: files that strangers made, PCM of streams."""
+"""Audio as bytes: recordings from anywhere, PCM of streams."""

@@ -1,4 +1,4 @@
-"""How large an AIFF, AU or W64 file says that it is.
+"""The size that an AIFF, AU or W64 header promises.
 
 libsndfile shortens a recording silently where the header promises more than the file holds. WAV
 files are looked at more closely (``wav``); FLAC and MP3 decoders notice themselves, and the other
@@ -10,14 +10,14 @@ from __future__ import annotations
 import struct
 
 HEAD_BYTES = 24
-"""That are enough to tell"""
+"""Bytes needed to recognise the format"""
 UNKNOWN_SIZE = 0x7F00_0000
-"""From which on a 32-bit length is that of a recorder that writes into a pipe"""
+"""Smallest 32-bit length that means a recorder wrote into a pipe"""
 _W64 = b"riff\x2e\x91\xcf\x11\xa5\xd6\x28\xdb\x04\xc1\x00\x00"
 
 
 def promised_bytes(head: bytes) -> int:
-    """Of the whole file, by its first ``HEAD_BYTES``; 0 where they do not say."""
+    """Bytes of the whole file by its first ``HEAD_BYTES``; 0 where they do not say."""
     if len(head) < HEAD_BYTES:
         return 0
     if head[:4] == b"FORM" and head[8:12] in (b"AIFF", b"AIFC"):

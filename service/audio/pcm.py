@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from neuralmusic.protocol.framing import Encoding
 from service.audio.recording import MAX_AMPLITUDE
 from service.doa.types import FloatArray
-from service.protocol.framing import Encoding
 
 CONTAINERS = {b"RIFF": "WAV", b"RF64": "WAV", b"fLaC": "FLAC", b"OggS": "Ogg", b"FORM": "AIFF"}
 

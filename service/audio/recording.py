@@ -1,7 +1,7 @@
 """Recordings: a header checked against limits, then audio decoded and resampled block by block.
 
-Anything that libsndfile reads is accepted. Nothing is ever allocated by what a header says, and
-memory is bounded by one block, whatever the length of the recording.
+Anything that libsndfile reads is accepted. No allocation trusts a header, and memory is bounded
+by one block, whatever the length of the recording.
 """
 
 from __future__ import annotations
@@ -17,10 +17,7 @@ import numpy as np
 import soundfile
 import soxr
 
-from service.audio.containers import HEAD_BYTES, promised_bytes
-from service.audio.wav import PIPE_SIZES, WavHeader, is_wav, read_wav_header
-from service.doa.types import FloatArray
-from service.errors import (
+from neuralmusic.errors import (
     AudioTooLong,
     EmptyAudio,
     NonFiniteAudio,
@@ -29,28 +26,30 @@ from service.errors import (
     TruncatedAudio,
     UnsupportedSampleRate,
 )
+from neuralmusic.wav import PIPE_SIZES, WavHeader, is_wav, read_wav_header
+from service.audio.containers import HEAD_BYTES, promised_bytes
+from service.doa.types import FloatArray
 
 BLOCK_SECONDS = 2
 MAX_BLOCK_SAMPLES = 4 * 2**20
-"""Of all channels together, so that a block of many channels at a high rate stays at 16 MiB"""
+"""Most samples in a block, all channels together: 16 MiB of float32"""
 
 MAX_AMPLITUDE = 1e7
-"""Above 24-bit integers kept as floats; below where the fourth power overflows in float32"""
+"""Largest usable sample: above 24-bit integers kept as floats, and its fourth power fits float32"""
 
 INT16_STEP = np.float32(2**-15)
-"""Full scale is one"""
+"""One step of 16-bit audio; full scale is 1"""
 
 UNKNOWN_FRAMES = 2**62
-"""libsndfile's length of a stream that does not say its own is 2^63 - 1"""
+"""Frames that mean an unknown length: libsndfile gives 2^63 - 1 where a header does not say"""
 
 
 @dataclass(frozen=True, slots=True)
 class AudioLimits:
-    """What a recording's header may claim."""
+    """Largest and smallest values that a recording's header may claim."""
 
     max_channels: int = 64
     max_seconds: float = 3600.0
-    """Seconds"""
     min_sample_rate: int = 4_000
     """Hertz"""
     max_sample_rate: int = 384_000
@@ -58,7 +57,7 @@ class AudioLimits:
 
 
 class Recording:
-    """A multichannel recording: its header is read and checked, its samples not yet decoded."""
+    """A multichannel recording whose header has been checked; samples are decoded on demand."""
 
     def __init__(self, sound: soundfile.SoundFile, closing: ExitStack) -> None:
         self._sound = sound
@@ -92,7 +91,7 @@ class Recording:
 
     @property
     def duration(self) -> float:
-        """Seconds."""
+        """Length in seconds."""
         return self.num_frames / self.sample_rate
 
     def blocks(self, channels: Sequence[int], sample_rate: int) -> Iterator[FloatArray]:
@@ -149,7 +148,7 @@ class Recording:
 
     def _decode(self) -> Iterator[FloatArray]:
         """Blocks (T, channels) float32 that add up to exactly ``num_frames``."""
-        # libsndfile makes the same numbers of 16 bits, but takes five times as long as numpy.
+        # libsndfile converts 16 bits to the same floats, but takes five times as long as numpy.
         has_16_bits = self._sound.subtype == "PCM_16"
         dtype = "int16" if has_16_bits else "float32"
         length = min(BLOCK_SECONDS * self.sample_rate, MAX_BLOCK_SAMPLES // self.channels)
@@ -206,7 +205,7 @@ class _Source:
 
 def _open_sound(source: BinaryIO) -> soundfile.SoundFile:
     try:
-        # Without a name, soundfile cannot take a file called x.raw for headerless samples.
+        # soundfile gets no file name: it would take x.raw for headerless samples.
         return soundfile.SoundFile(_Source(source), "r")
     except (soundfile.SoundFileError, TypeError, ValueError) as error:
         raise NotAudio(
@@ -231,7 +230,7 @@ def _check_header(source: BinaryIO, limits: AudioLimits) -> None:
     if header.promised == 0 and header.held > 0:
         raise EmptyAudio(
             "the WAV header says that there is no audio: the recorder did not finish the file; "
-            "stop it properly, or convert the file anew"
+            "stop it properly, or convert the file again"
         )
 
 

@@ -1,5 +1,5 @@
-"""Many recordings: what is to be done, engines that do it, files that keep what came of it.
+"""Many recordings: the plan, engines that carry it out, files that keep the results.
 
 An engine (``local``, ``cluster``) turns recordings into records; a result file (``jsonl``,
-``parquet``) keeps records and tells which recordings a second run can leave out.
+``parquet``) keeps records and tells which recordings a second run can skip.
 """

@@ -1,4 +1,4 @@
-"""The recordings that patterns name, and how one that changed is told from one that did not."""
+"""The recordings that patterns name, and the key by which a changed file is noticed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.errors import InvalidOption
+from neuralmusic.errors import InvalidOption
 
 Key = tuple[str, int, int]
 """Path, bytes, milliseconds: equal where a file has not changed"""
@@ -19,28 +19,28 @@ class FoundRecording:
     """A file as it was found."""
 
     path: str
-    """As the pattern names it"""
+    """Path as the pattern names it"""
     size_bytes: int
     modified_ms: int
-    """Milliseconds since 1970, which JSON's readers hold exactly; nanoseconds they do not"""
+    """Milliseconds since 1970; JSON readers would round nanoseconds"""
     place: Path
-    """The absolute path, for processes in other folders"""
+    """Absolute path, for processes in other folders"""
 
     @property
     def key(self) -> Key:
-        """What tells this file, as it is now."""
+        """The key of this file in its present state."""
         return self.path, self.size_bytes, self.modified_ms
 
 
 def find_recordings(patterns: Iterable[str], besides: Sequence[Path] = ()) -> list[FoundRecording]:
-    """The files that any of the patterns matches, each once, sorted by path.
+    """The files that match any of the patterns, each once, sorted by path.
 
     Parameters
     ----------
     patterns : iterable of str
         Paths, or patterns with ``*``, ``?``, ``[...]`` and ``**`` for folders in folders.
     besides : sequence of Path
-        Files that are no recordings: the result itself.
+        Files that are not recordings: the result itself.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def find_recordings(patterns: Iterable[str], besides: Sequence[Path] = ()) -> li
     left_out = {path.resolve() for path in besides}
     found: dict[str, FoundRecording] = {}
     for pattern in patterns:
-        # A file whose own name has brackets in it is no pattern.
+        # A file whose own name has brackets in it is not a pattern.
         paths = [pattern] if Path(pattern).is_file() else glob.glob(pattern, recursive=True)
         files = [path for path in paths if Path(path).is_file()]
         if not files:

@@ -6,11 +6,11 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from neuralmusic.errors import ConfigError, WorkerLost
 from service.batch.archive import FoundRecording
 from service.batch.plan import Plan
 from service.batch.record import Record, failed
 from service.batch.worker import BatchWorker
-from service.errors import ConfigError, WorkerLost
 
 LOST = (
     "the process that localized this recording ended: run the same command again to try it once "
@@ -19,13 +19,13 @@ LOST = (
 
 
 class RecordingActor:
-    """A worker of the cluster; its own process outlives whatever a recording does to a decoder."""
+    """A worker of the cluster; its process survives recordings that crash a decoder."""
 
     def __init__(self) -> None:
         self._worker: BatchWorker | None = None
 
     def begin(self, plan: Plan) -> None:
-        """Start the worker; WorkerLost where it does not come up."""
+        """Start the worker, or raise WorkerLost."""
         self._worker = BatchWorker(plan)
 
     def record(self, found: FoundRecording) -> Record:
@@ -44,14 +44,14 @@ def localize_on_ray(
     Parameters
     ----------
     jobs : int, optional
-        Actors, of one CPU each; by default the cluster's CPUs.
+        Number of actors, one CPU each; by default the cluster's CPUs.
 
     Raises
     ------
     ConfigError
         If Ray is not installed.
     WorkerLost
-        If an actor does not begin.
+        If an actor does not start.
     """
     ray = _ray()
     ours = not ray.is_initialized()
@@ -66,9 +66,9 @@ def localize_on_ray(
 
 
 def _records(ray: Any, plan: Plan, count: int, waiting: deque[FoundRecording]) -> Iterator[Record]:
-    """One recording at a time for every actor: one that dies is that recording's error.
+    """Give every actor one recording at a time; a dead actor becomes that recording's error.
 
-    None is given to an actor that has not begun: the cluster may have no CPU for it yet.
+    An actor gets none before it has started: the cluster may have no CPU for it yet.
     """
     kind, sent = ray.remote(num_cpus=1)(RecordingActor), ray.put(plan)
     beginning = {actor.begin.remote(sent): actor for actor in (kind.remote() for _ in range(count))}
@@ -95,15 +95,15 @@ def _records(ray: Any, plan: Plan, count: int, waiting: deque[FoundRecording]) -
 
 
 def _begun(ray: Any, done: Any) -> None:
-    """Raise WorkerLost where an actor did not begin."""
+    """Raise WorkerLost where an actor did not start."""
     try:
         ray.get(done)
     except ray.exceptions.RayError as error:
-        raise WorkerLost(f"an actor of the Ray cluster did not begin: {error}") from error
+        raise WorkerLost(f"an actor of the Ray cluster did not start: {error}") from error
 
 
 def _record(ray: Any, done: Any) -> Record | None:
-    """A record, or None where its actor ended over it."""
+    """A record, or None where its actor died over it."""
     try:
         record: Record = ray.get(done)
     except ray.exceptions.RayActorError:
@@ -116,7 +116,8 @@ def _ray() -> Any:
         from ray import exceptions, init  # noqa: F401
     except ImportError:
         raise ConfigError(
-            "--engine ray needs Ray: pip install 'neuralmusic[ray]', or take --engine local"
+            "--engine ray needs Ray: pip install ./client '.[ray]' in the project's folder, or "
+            "take --engine local"
         ) from None
     import ray
 

@@ -10,17 +10,17 @@ from typing import BinaryIO
 
 from pydantic_core import from_json, to_json
 
+from neuralmusic.errors import InvalidOption
 from service.batch.archive import FoundRecording, Key
 from service.batch.plan import Plan
 from service.batch.record import AGAIN, Record, error_code, key_of
-from service.errors import InvalidOption
 
 BEGINNING = b'{"path":'
-"""Of a record's line, which an interrupted run may not have finished"""
+"""First bytes of a record's line; an interrupted run may leave the line unfinished"""
 
 
 class JsonLinesResult:
-    """A file that grows by a line for every record; one run at a time writes it.
+    """A file with a line for every record; one run at a time writes it.
 
     Parameters
     ----------
@@ -30,16 +30,16 @@ class JsonLinesResult:
     Raises
     ------
     InvalidOption
-        If the file is no result of this plan, or another run writes it.
+        If the file is not a result of this plan, or another run writes it.
     OSError
-        If it cannot be written.
+        If the file cannot be written.
     """
 
     def __init__(self, path: Path, plan: Plan) -> None:
         self.path = path
         self._plan = plan
         self._codes: dict[Key, str | None] = {}
-        """Why there is no answer, of every record"""
+        """Error code of every record, None where it has an answer"""
         self._file = _locked(path)
         try:
             self._end = self._check()
@@ -50,7 +50,7 @@ class JsonLinesResult:
         self._file.seek(self._end)
 
     def remaining(self, found: Sequence[FoundRecording]) -> list[FoundRecording]:
-        """The recordings without a record; those that changed, or may pass now, lose theirs."""
+        """The recordings still to do: new and changed ones, and errors that may pass now."""
         now = {recording.path: recording.key for recording in found}
         stale = {
             key
@@ -62,7 +62,7 @@ class JsonLinesResult:
         return [recording for recording in found if recording.key not in self._codes]
 
     def append(self, record: Record) -> None:
-        """Write a record down."""
+        """Write a record."""
         self._file.write(to_json(record) + b"\n")
         self._file.flush()
         self._codes[key_of(record)] = error_code(record)
@@ -79,14 +79,14 @@ class JsonLinesResult:
         return [code for code in codes if code is not None]
 
     def finish(self) -> None:
-        """Every record is in the file already."""
+        """Do nothing: every record is in the file already."""
 
     def close(self) -> None:
-        """Let others write the file."""
+        """Let other runs write the file."""
         self._file.close()
 
     def _check(self) -> int:
-        """Where the last whole line ends."""
+        """Check every line; return where the last whole one ends."""
         end = 0
         self._file.seek(0)
         for number, line in enumerate(self._file, 1):
@@ -97,7 +97,7 @@ class JsonLinesResult:
                 self._codes[key_of(record)] = error_code(record)
             except (ValueError, KeyError, TypeError):
                 raise InvalidOption(
-                    f"line {number} of {self.path} is no record of neuralmusic batch: name "
+                    f"line {number} of {self.path} is not a record of neuralmusic batch: name "
                     "another --out"
                 ) from None
             self._plan.check(record, str(self.path))
@@ -128,6 +128,6 @@ def _locked(path: Path) -> BinaryIO:
         except BlockingIOError:
             file.close()
             raise InvalidOption(
-                f"another run writes {path}: wait for it, or name another --out"
+                f"another run is writing {path}: wait for it, or name another --out"
             ) from None
     return file

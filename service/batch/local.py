@@ -14,7 +14,7 @@ from service.batch.record import Record
 from service.batch.worker import BatchWorker, Told
 
 Message = Record | tuple[FoundRecording, float] | BaseException
-"""A record, a share that is done, or what ended a thread"""
+"""A record, a recording's progress from 0 to 1, or the exception that ended a thread"""
 
 
 def localize_here(
@@ -25,7 +25,7 @@ def localize_here(
     Raises
     ------
     WorkerLost
-        If a process does not come up.
+        If a process does not start.
     """
     waiting = deque(recordings)
     heard: SimpleQueue[Message] = SimpleQueue()
@@ -61,7 +61,7 @@ def _work(
     workers: list[BatchWorker],
     heard: SimpleQueue[Message],
 ) -> None:
-    """What a thread does until nothing waits."""
+    """Localize recordings in a thread until none waits."""
     try:
         worker = BatchWorker(plan)
         workers.append(worker)
@@ -75,7 +75,7 @@ def _work(
 
 
 def _taken(waiting: deque[FoundRecording]) -> Iterator[FoundRecording]:
-    """What waits, one by one, until other threads have taken the last one."""
+    """Waiting recordings one by one, until other threads have taken the last one."""
     with suppress(IndexError):
         while True:
             yield waiting.popleft()

@@ -1,7 +1,7 @@
 """A result as Parquet: a row for every source of every window, for pandas, polars and SQL.
 
-A Parquet file is whole only once it is finished, so records are kept as JSON Lines beside it until
-then: an interrupted run goes on from there.
+A Parquet file is complete only once it is finished. Until then records are kept as JSON Lines
+beside it, and an interrupted run continues from there.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from neuralmusic.errors import ConfigError, InvalidOption
 from service.batch.archive import FoundRecording, Key
 from service.batch.jsonl import JsonLinesResult
 from service.batch.plan import Plan
 from service.batch.record import AGAIN, Record, key_of
-from service.errors import ConfigError, InvalidOption
 
 METADATA = b"neuralmusic"
-"""Of the file: JSON with what all its recordings were localized with"""
+"""Key of the file's metadata: JSON with the options and models of all its recordings"""
 ROW_GROUP = 65_536
-"""Rows; what is held in memory while the file is written"""
+"""Most rows held in memory while the file is written"""
 KEY = ["path", "size_bytes", "modified_ms"]
 COLUMNS = {
     "path": "string",
@@ -42,11 +42,11 @@ COLUMNS = {
     "error_code": "string",
     "error_detail": "string",
 }
-"""Null from ``sample_rate`` on where a recording has an error, from ``id`` on in silence"""
+"""Columns; null from ``sample_rate`` on where a recording failed, from ``id`` on in silence"""
 
 
 class ParquetResult:
-    """A Parquet file, and beside it the records that are not yet in it.
+    """A Parquet file, and beside it the records not yet in it.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class ParquetResult:
     ConfigError
         If pyarrow is not installed.
     InvalidOption
-        If the file is no result of this plan, or another run writes it.
+        If the file is not a result of this plan, or another run writes it.
     """
 
     def __init__(self, path: Path, plan: Plan) -> None:
@@ -70,7 +70,7 @@ class ParquetResult:
         self._fresh = JsonLinesResult(beside(path), plan)
 
     def remaining(self, found: Sequence[FoundRecording]) -> list[FoundRecording]:
-        """The recordings without rows or records; those that changed lose theirs."""
+        """The recordings still to do: those without rows or records, and changed ones."""
         now = {recording.path: recording.key for recording in found}
         self._stale = {
             key
@@ -91,13 +91,13 @@ class ParquetResult:
         return [code for code in written if code is not None] + self._fresh.errors(found)
 
     def finish(self) -> None:
-        """Write the file anew with what came since, and drop the records beside it."""
+        """Rewrite the file with the new records, and delete the records beside it."""
         if self._stale or self._fresh.path.stat().st_size or not self._path.exists():
             self._write()
         self._fresh.path.unlink()
 
     def close(self) -> None:
-        """Let others write the file."""
+        """Let other runs write the file."""
         self._fresh.close()
 
     def _write(self) -> None:
@@ -110,13 +110,13 @@ class ParquetResult:
         os.replace(new, self._path)
 
     def _read(self) -> dict[Key, str | None]:
-        """The recordings of the file, with their error codes."""
+        """The recordings in the file, with their error codes."""
         try:
             with self._parquet.ParquetFile(self._path) as file:
                 metadata = (file.schema_arrow.metadata or {}).get(METADATA)
                 if metadata is None:
                     raise InvalidOption(
-                        f"{self._path} is no result of neuralmusic batch: name another --out"
+                        f"{self._path} is not a result of neuralmusic batch: name another --out"
                     )
                 self._plan.check(json.loads(metadata), str(self._path))
                 keys = file.read([*KEY, "error_code"])
@@ -137,7 +137,7 @@ class ParquetResult:
         return self._arrow.schema(types, metadata={METADATA: json.dumps(described)})
 
     def _kept(self) -> Iterator[Any]:
-        """What stays of the file, batch by batch."""
+        """The rows to keep of the file, batch by batch."""
         if not self._path.exists():
             return
         with self._parquet.ParquetFile(self._path) as file:
@@ -148,20 +148,20 @@ class ParquetResult:
 
     def _fresh_rows(self) -> Iterator[dict[str, Any]]:
         for record in self._fresh.records():
-            # A run that was interrupted between the last two steps of ``finish`` left both.
+            # A run that was interrupted between the last two steps of ``finish`` leaves both.
             if key_of(record) not in self._codes:
                 yield from rows_of(record)
 
 
 def rows_of(record: Record) -> Iterator[dict[str, Any]]:
-    """The rows of a recording: one a source, and one of a silent window or where there is none."""
+    """The rows of a recording: one a source, one for a silent window, one where there is none."""
     row: dict[str, Any] = {**dict.fromkeys(COLUMNS), **{name: record[name] for name in KEY}}
     if record["error"]:
         yield {**row, **{f"error_{name}": text for name, text in record["error"].items()}}
         return
     row |= record["audio"]
     row["warnings"] = ",".join(warning["code"] for warning in record["warnings"])
-    if not record["windows"]:  # a few samples, of which resampling left none
+    if not record["windows"]:  # a few samples that resampling reduced to none
         yield row
     for index, window in enumerate(record["windows"]):
         place = {name: window[name] for name in ("t_start", "t_end", "num_sources")}
@@ -183,7 +183,7 @@ def _key(row: dict[str, Any]) -> Key:
 
 
 def beside(path: Path) -> Path:
-    """Where the records are that are not yet in a Parquet file."""
+    """Path of the records that are not yet in a Parquet file."""
     return path.with_name(path.name + ".jsonl")
 
 
@@ -193,7 +193,7 @@ def _pyarrow() -> tuple[Any, Any]:
         import pyarrow.parquet
     except ImportError:
         raise ConfigError(
-            "a Parquet result needs pyarrow: pip install 'neuralmusic[parquet]', or name the "
-            "--out .jsonl"
+            "a Parquet result needs pyarrow: pip install ./client '.[parquet]' in the project's "
+            "folder, or name the --out .jsonl"
         ) from None
     return pyarrow, pyarrow.parquet

@@ -1,4 +1,4 @@
-"""What every recording of a run is localized with, settled before the first one is opened."""
+"""The options and models of a run, settled before the first recording is opened."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
+from neuralmusic.errors import InvalidOption
+from neuralmusic.protocol.methods import Method
 from service.audio.recording import AudioLimits
-from service.errors import InvalidOption
 from service.inference.choice import choose_method
 from service.inference.results import ModelIdentity
-from service.protocol.methods import Method
 from service.recordings.answers import ModelAnswer
 from service.recordings.job import RecordingJob
 from service.recordings.options import LocalizeRequest
@@ -21,13 +21,13 @@ from service.workers.link import Setup
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The job of every recording and what its workers run with; it can be sent to any machine."""
+    """The job for every recording and its workers' setup; it can be sent to any machine."""
 
     job: RecordingJob
     given: Mapping[str, str]
-    """The options as they were given, and the hash of the noise profile"""
+    """Options as the user gave them, with the hash of the noise profile"""
     setup: Setup
-    """With the bundles' content, so that all machines localize with the same"""
+    """Workers' setup with the bundles' content, so that all machines use the same models"""
     method: Method
     model: ModelIdentity | None
 
@@ -52,7 +52,7 @@ class Plan:
         return cls(
             RecordingJob(asked, limits),
             dict(given),
-            # As many recordings at a time as there are CPUs: each has one.
+            # One CPU for each recording: as many recordings run at a time as there are CPUs.
             Setup(settings.model_copy(update={"processes": 1}), registry.files),
             method,
             bundle.identity if bundle else None,
@@ -60,7 +60,7 @@ class Plan:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What must be the same for two records to belong into one result; JSON's types alone."""
+        """What records of one result must have in common; JSON types alone."""
         model = self.model and ModelAnswer.model_validate(self.model, from_attributes=True)
         return {
             "options": dict(self.given),
@@ -69,7 +69,7 @@ class Plan:
         }
 
     def check(self, identity: Mapping[str, Any], place: str) -> None:
-        """Raise InvalidOption where a result was made with something else."""
+        """Raise InvalidOption where a result was made with other options or models."""
         for name, ours in self.identity.items():
             theirs = identity.get(name)
             if theirs != ours:
@@ -80,7 +80,7 @@ class Plan:
 
 
 def _short(value: Any) -> str:
-    """A part of an identity in words."""
+    """A short text for a part of an identity."""
     if not isinstance(value, dict):
         return str(value)
     if "sha256" in value:

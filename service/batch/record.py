@@ -1,4 +1,4 @@
-"""What a run writes down of one recording: the HTTP interface's answer, or why there is none."""
+"""What a run writes about one recording: the HTTP interface's answer, or an error."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from typing import Any
 
 from pydantic_core import from_json
 
+from neuralmusic.errors import DoaError, RecordingUnreadable, WorkerLost
 from service.batch.archive import FoundRecording, Key
 from service.batch.plan import Plan
-from service.errors import DoaError, RecordingUnreadable, WorkerLost
 from service.recordings.job import Localized
 
 Record = dict[str, Any]
-"""JSON: path, size_bytes, modified_ms, error, options, method, model; then the other fields of
-``LocalizationAnswer`` where error is null"""
+"""JSON: path, size_bytes, modified_ms, error, options, method, model; where error is null, the
+other fields of ``LocalizationAnswer`` follow"""
 
 AGAIN = frozenset({RecordingUnreadable.code, WorkerLost.code})
-"""Errors that may pass: these recordings are tried again"""
+"""Transient errors: these recordings are tried again"""
 
 
 def localized(found: FoundRecording, plan: Plan, answer: Localized) -> Record:
@@ -30,12 +30,12 @@ def failed(found: FoundRecording, plan: Plan, error: DoaError) -> Record:
 
 
 def key_of(record: Record) -> Key:
-    """As ``FoundRecording.key``."""
+    """The key of a record's recording, as ``FoundRecording.key``."""
     return record["path"], record["size_bytes"], record["modified_ms"]
 
 
 def error_code(record: Record) -> str | None:
-    """Why there is no answer, or None where there is one."""
+    """The error code of a record, or None where it has an answer."""
     return record["error"]["code"] if record["error"] else None
 
 

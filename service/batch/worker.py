@@ -1,27 +1,27 @@
-"""One recording at a time in a process that may die over it: the service's own worker."""
+"""One recording at a time in a worker process of the service, which a recording may crash."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+from neuralmusic.errors import DecodingFailed, DoaError, RecordingUnreadable, WorkerLost
 from service.batch.archive import FoundRecording
 from service.batch.plan import Plan
 from service.batch.record import Record, failed, localized
-from service.errors import DecodingFailed, DoaError, RecordingUnreadable, WorkerLost
 from service.recordings.job import Progress, Report
 from service.workers.recording_pool import RecordingWorker
 
 Told = Callable[[FoundRecording, float], None]
-"""Takes the share of a recording that is done"""
+"""Called with a recording and its progress, 0 to 1"""
 
 
 class BatchWorker:
-    """Turns recordings into records; its process is replaced where a recording ends it.
+    """Turns recordings into records; replaces its process when a recording crashes it.
 
     Raises
     ------
     WorkerLost
-        If the process does not come up.
+        If the process does not start.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -30,12 +30,12 @@ class BatchWorker:
         self._worker: RecordingWorker | None = self._start()
 
     def record(self, found: FoundRecording, told: Told) -> Record:
-        """Localize a recording; whatever is wrong with it is its record.
+        """Localize a recording; an error becomes its record.
 
         Raises
         ------
         WorkerLost
-            If a new process does not come up.
+            If a new process does not start.
         """
         plan = self._plan
 
@@ -62,7 +62,7 @@ class BatchWorker:
             self._worker.kill()
 
     def end(self) -> None:
-        """End the process in order."""
+        """Stop the process gracefully."""
         if self._worker is not None:
             self._worker.end()
 
@@ -72,7 +72,7 @@ class BatchWorker:
         worker.wait_ready()
         if self._ended:
             worker.end()
-            raise WorkerLost("the run was ended")
+            raise WorkerLost("the run was stopped")
         return worker
 
 

@@ -1,4 +1,4 @@
-"""The stages of a neural window one by one, each on what the stage before gives."""
+"""The stages of a neural window one by one, each on the output of the previous one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from service.inference.weights import (
 )
 
 Stage = tuple[str, Callable[[Any], object], Sequence[Any]]
-"""Name, work and what it is done on"""
+"""Name, function and its inputs"""
 
 
 def window_stages(
@@ -33,8 +33,8 @@ def window_stages(
 ) -> Iterator[Stage]:
     """Every stage of ``CandidateSearch`` and ``SourceCounter`` with its inputs.
 
-    ``fusion`` and ``peaks`` alternate in the search, up to four times; here each is all its rounds,
-    and the peaks of two sources are found again.
+    ``fusion`` and ``peaks`` alternate in the search, up to four times. Here each stage is all its
+    rounds, and the peaks of two sources are found again.
     """
     analysis = analysis_of(bundle)
     search = CandidateSearch(bundle.covariance, analysis, array)

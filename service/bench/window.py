@@ -1,8 +1,8 @@
 """Cost of one window and of one hop of a stream, by stage, beside pyroomacoustics.
 
-CPU time of this process after a warm-up. Absolute times tell of the machine, ratios of the program:
-every method takes the same windows, a few at a time in turns, since a machine's speed may change
-from one second to the next, and a ratio is the median of the windows' ratios.
+CPU time of this process after a warm-up. Absolute times tell about the machine, ratios about the
+program. A machine's speed may change from one second to the next, so every method takes the same
+windows, a few at a time in turns, and a ratio is the median of the windows' ratios.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from neuralmusic.protocol.client_messages import AudioFormat, OutputOptions
 from service.bench.stages import window_stages
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
@@ -23,36 +24,34 @@ from service.doa.types import FloatArray
 from service.inference.bundle import Bundle
 from service.inference.classical import BAND, ClassicalLocalizer
 from service.inference.localizer import localizer_of
-from service.protocol.client_messages import AudioFormat, OutputOptions
 from service.streaming.buffer import Piece
 from service.streaming.pipeline import StreamPipeline, StreamPlan
 
 SAMPLE_RATE = 16_000
 WINDOW_SAMPLES = 16_640
-"""64 frames"""
+"""Samples in a window of 64 frames"""
 HOP_S = 0.1
-"""Between the results of a stream"""
+"""Seconds between the results of a stream"""
 WARM_UP = 5
 TURN = 5
-"""Windows that one method takes before it is the next one's turn; one more finds cold caches and
-does not count"""
+"""Windows that a method takes in one turn, after one that fills the caches and does not count"""
 WHOLE_BAND = (0.0, 8000.0)
-"""Hertz: 257 bins, all that the neural window uses, and a half more than speech needs"""
+"""Hertz, all 257 bins: the neural window uses them, speech needs fewer"""
 RING_RADIUS = 0.1
 PEERS = ("NormMUSIC", "MUSIC", "SRP")
 
 Work = Callable[[FloatArray], object]
 Workload = tuple[Callable[[Any], object], Sequence[Any]]
-"""Something to do and what to do it with, once each"""
+"""A function and its inputs, one call each"""
 InputT = TypeVar("InputT")
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Milliseconds of CPU time."""
+    """CPU times of one method, milliseconds."""
 
     spent: FloatArray
-    """One after the other"""
+    """Times of the windows in order"""
 
     @property
     def median(self) -> float:
@@ -63,7 +62,7 @@ class Timing:
         return float(np.percentile(self.spent, 99))
 
     def faster_than(self, other: Timing) -> tuple[float, float, float]:
-        """How many times: the windows' lower quartile, median and upper quartile."""
+        """Ratio of times per window, other over own: lower quartile, median, upper quartile."""
         low, median, high = np.percentile(other.spent / self.spent, [25, 50, 75])
         return float(low), float(median), float(high)
 
@@ -75,15 +74,15 @@ class BenchResult:
     array: MicrophoneArray
     neural: Timing
     norm_music: Timing
-    """In the whole band, 257 bins"""
+    """NormMUSIC in the whole band, 257 bins"""
     norm_music_speech: Timing
-    """In the service's own band, 300 to 3500 Hz"""
+    """NormMUSIC in the service's own band, 300 to 3500 Hz"""
     peers: Mapping[str, Timing]
     """pyroomacoustics' methods in the whole band, its own STFT included; empty without it"""
     peer_speech: Timing | None
     """pyroomacoustics' NormMUSIC, 300 to 3500 Hz"""
     hop: Timing
-    """What 100 ms of a stream cost, from PCM to tracks"""
+    """Cost of 100 ms of a stream, from PCM to tracks"""
     stages: Mapping[str, Timing]
 
 
@@ -99,7 +98,7 @@ def bench_arrays() -> dict[int, MicrophoneArray]:
 
 
 def bench(bundle: Bundle, array: MicrophoneArray, repeats: int = 40, seed: int = 1) -> BenchResult:
-    """Time a `weights` bundle on ``repeats`` windows of two noises that come and go."""
+    """Time a `weights` bundle on ``repeats`` windows of two intermittent noises."""
     windows = [bench_window(array, seed + index) for index in range(repeats)]
     localizer = localizer_of(bundle, array)
     wide = ClassicalLocalizer("norm_music", array, band=WHOLE_BAND)
@@ -128,7 +127,7 @@ def bench(bundle: Bundle, array: MicrophoneArray, repeats: int = 40, seed: int =
 
 
 def bench_window(array: MicrophoneArray, seed: int, samples: int = WINDOW_SAMPLES) -> FloatArray:
-    """Two noises that come and go from two directions, with sensor noise: (N, T) float32."""
+    """Two intermittent noises from two directions, with sensor noise: (N, T) float32."""
     rng = np.random.default_rng(seed)
     directions = unit_vectors(rng.uniform(0, 2 * np.pi, 2))
     omega = 2 * np.pi * np.fft.rfftfreq(samples, 1 / SAMPLE_RATE)
@@ -162,7 +161,7 @@ def _peers(array: MicrophoneArray) -> Iterator[tuple[str, Work]]:
 
 
 def _hops(bundle: Bundle, array: MicrophoneArray, windows: Sequence[FloatArray]) -> Workload:
-    """Steps of a stream of the windows' audio, each 100 ms."""
+    """Steps of 100 ms of a stream with the windows' audio."""
     pipeline = bench_pipeline(bundle, array)
     output = OutputOptions(interval_ms=round(1000 * HOP_S))
     pieces = bench_pieces(np.concatenate(windows, axis=1))
@@ -170,7 +169,7 @@ def _hops(bundle: Bundle, array: MicrophoneArray, windows: Sequence[FloatArray])
 
 
 def bench_pipeline(bundle: Bundle, array: MicrophoneArray) -> StreamPipeline:
-    """A stream of 16-bit samples of all the array's channels."""
+    """The pipeline of a stream of 16-bit samples with one channel per microphone."""
     microphones = array.num_microphones
     audio = AudioFormat(encoding="pcm_s16le", sample_rate=SAMPLE_RATE, channels=microphones)
     channel_map = tuple(range(microphones))
@@ -178,7 +177,7 @@ def bench_pipeline(bundle: Bundle, array: MicrophoneArray) -> StreamPipeline:
 
 
 def bench_pieces(audio: FloatArray) -> list[Piece]:
-    """Audio (N, T) in pieces of 100 ms of such a stream."""
+    """Audio (N, T) as pieces of 100 ms of that stream."""
     hop = round(HOP_S * SAMPLE_RATE)
     pcm = np.clip(32768 * audio.T, -32768, 32767).astype("<i2")
     starts = range(0, len(pcm) - hop + 1, hop)
@@ -186,7 +185,7 @@ def bench_pieces(audio: FloatArray) -> list[Piece]:
 
 
 def _in_turns(tasks: Mapping[str, Workload], turns: int) -> dict[str, Timing]:
-    """Every task on all of its inputs, a share of them each time that it is its turn."""
+    """Time every task on all of its inputs, a share of them in each turn."""
     spent: dict[str, list[float]] = {name: [] for name in tasks}
     for work, inputs in tasks.values():
         for each in inputs[:WARM_UP]:
@@ -200,7 +199,7 @@ def _in_turns(tasks: Mapping[str, Workload], turns: int) -> dict[str, Timing]:
 
 
 def _time(work: Callable[[InputT], object], inputs: Sequence[InputT]) -> Timing:
-    """The work on every input, after a warm-up."""
+    """Time the work on every input, after a warm-up."""
     for each in inputs[:WARM_UP]:
         work(each)
     return Timing(np.array([cpu_ms(partial(work, each)) for each in inputs]))

@@ -10,9 +10,11 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from service.cli.inputs import add_array, add_channel_map, generous_limits
-from service.cli.options import add_options, given_options, read_request
-from service.errors import InvalidOption
+from neuralmusic.cli.flags import add_array, add_channel_map, given_options
+from neuralmusic.errors import InvalidOption
+from service.cli.inputs import generous_limits
+from service.cli.options import add_options, read_request
+from service.machine.environment import prepare_process
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,7 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "recordings",
         nargs="+",
         metavar="GLOB",
-        help="recordings, or quoted patterns of them; ** is folders in folders",
+        help="recordings, or quoted patterns of them; ** matches folders in folders",
     )
     add_array(parser)
     add_channel_map(parser)
@@ -45,7 +47,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="FILE",
-        help="the .jsonl or .parquet file; recordings that are in it already are left out",
+        help="the .jsonl or .parquet file; recordings already in it are skipped",
     )
     parser.add_argument(
         "--engine", choices=ENGINES, default="local", help="processes here, or a Ray cluster"
@@ -56,6 +58,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    prepare_process()
     from service.batch.archive import find_recordings
     from service.batch.parquet import beside
     from service.cli.batch_progress import BatchProgress
@@ -118,9 +121,9 @@ def _records(
 
 
 def _print(out: Path, found: int, new: int, errors: Sequence[str]) -> None:
-    from service.cli.terminal import line, output
+    from neuralmusic.cli.terminal import line, output
 
-    before = f", {found - new} of them before" if found > new else ""
+    before = f", {found - new} of them earlier" if found > new else ""
     line(output(), f"{out}: {found - len(errors)} of {found} recordings localized{before}")
     for code, count in sorted(Counter(errors).items()):
         line(output(), f"{code}: {count}", "yellow")

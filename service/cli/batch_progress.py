@@ -1,4 +1,4 @@
-"""The progress of ``neuralmusic batch``: a bar on a terminal, errors wherever they can be read."""
+"""The progress of ``neuralmusic batch``: a bar on a terminal, and every error as a line."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from service.cli.terminal import line
+from neuralmusic.cli.terminal import line
 
 if TYPE_CHECKING:
     from service.batch.archive import FoundRecording
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 
 class BatchProgress:
-    """A bar of bytes, since recordings differ in length, with the count beside it.
+    """A bar of bytes, since recordings differ in length, with their count beside it.
 
     Parameters
     ----------
     found, remaining : sequences of FoundRecording
-        All recordings of the run, and those without a record.
+        All recordings of the run, and those still to do.
     """
 
     def __init__(
@@ -29,7 +29,7 @@ class BatchProgress:
     ) -> None:
         self._bytes = {recording.path: recording.size_bytes for recording in remaining}
         self._running: dict[str, float] = {}
-        """The bytes that are done of recordings that are being localized"""
+        """Bytes done, by recording being localized"""
         self._done_bytes = 0
         self._count, self._all = len(found) - len(remaining), len(found)
         self._console = Console(stderr=True, highlight=False, emoji=False)
@@ -45,12 +45,12 @@ class BatchProgress:
         self._task = self._bar.add_task("", total=sum(self._bytes.values()))
 
     def told(self, recording: FoundRecording, share: float) -> None:
-        """A share in [0, 1] of a recording is done."""
+        """Show that a share in [0, 1] of a recording is done."""
         self._running[recording.path] = share * recording.size_bytes
         self._show()
 
     def done(self, record: Record) -> None:
-        """A recording is done, well or not."""
+        """Show that a recording is done or has failed."""
         self._running.pop(record["path"], None)
         self._done_bytes += self._bytes[record["path"]]
         self._count += 1

@@ -1,4 +1,4 @@
-"""``neuralmusic bench``: what a window and a stream cost, beside pyroomacoustics in one run."""
+"""``neuralmusic bench``: the cost of a window and a stream, beside pyroomacoustics."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import json
 import os
 from typing import TYPE_CHECKING, Any
 
-from service.errors import InvalidOption
+from neuralmusic.errors import InvalidOption
+from service.machine.environment import prepare_process
 
 if TYPE_CHECKING:
     from service.bench.window import BenchResult, Timing
@@ -34,10 +35,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    prepare_process()
     for flag in ("threads", "repeats"):
         if getattr(args, flag) < 1:
             raise InvalidOption(f"--{flag} must be at least 1, but is {getattr(args, flag)}")
-    # BLAS reads these when numpy is first imported, so nothing before may import it.
+    # BLAS reads these when numpy is first imported: import nothing before that imports numpy.
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(args.threads)))
     from service.bench.window import bench, bench_arrays
     from service.inference.registry import BundleRegistry
@@ -57,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _document(results: dict[int, BenchResult]) -> dict[str, Any]:
-    """The first array's figures at the top, all arrays' below by their number of microphones."""
+    """The first array's figures at the top, all arrays' by number of microphones below."""
     described = {str(count): _figures(result) for count, result in results.items()}
     return {**next(iter(described.values())), "arrays": described}
 
@@ -93,7 +95,7 @@ def _timings(result: BenchResult) -> dict[str, Timing]:
 
 
 def _ratios(result: BenchResult) -> dict[str, tuple[float, float, float]]:
-    """Against pyroomacoustics' NormMUSIC on the same windows and bins."""
+    """Ratios to pyroomacoustics' NormMUSIC on the same windows and bins."""
     if not (result.peers and result.peer_speech):
         return {}
     return {
@@ -109,7 +111,7 @@ def _milliseconds(timing: Timing) -> dict[str, float]:
 
 
 def _print(result: BenchResult) -> None:
-    from service.cli.terminal import line, output, table
+    from neuralmusic.cli.terminal import line, output, table
 
     console = output()
     microphones = result.array.num_microphones

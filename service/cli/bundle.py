@@ -1,4 +1,4 @@
-"""``neuralmusic bundle show``: what a model bundle says of itself, and if its files are whole."""
+"""``neuralmusic bundle show``: a model bundle's manifest and the state of its files."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from service.cli.terminal import line, output, table
-from service.errors import UnknownModel
+from neuralmusic.cli.terminal import line, output, table
+from neuralmusic.errors import UnknownModel
+from service.machine.environment import prepare_process
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -33,6 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    prepare_process()
     from service.inference.bundle import read_manifest
 
     folders = _folders() if args.bundle is None else [_find(args.bundle)]
@@ -58,7 +60,7 @@ def _folders() -> list[Path]:
 
 
 def _find(argument: str) -> Path:
-    """A folder, or the folder of the bundle of this name."""
+    """The argument as a folder, or the folder of the bundle with this name."""
     if Path(argument).is_dir():
         return Path(argument)
     from service.inference.bundle import read_manifest
@@ -117,7 +119,7 @@ def _print_one(console: Console, folder: Path, manifest: Manifest, digest: str) 
 
 
 def _print_scores(console: Console, scores: Mapping[str, Any]) -> None:
-    """A row per cell of the evaluation, a column per score, and whatever else there is."""
+    """Print a row per cell of the evaluation, a column per score, then all other scores."""
     cells: Mapping[str, Mapping[str, float]] = scores.get("cells", {})
     _print_section(console, "scores", {k: v for k, v in scores.items() if k != "cells"})
     columns = list(dict.fromkeys(name for cell in cells.values() for name in cell))
@@ -156,7 +158,7 @@ def _leaves(section: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
 
 
 def _print_files(console: Console, folder: Path, manifest: Manifest) -> int:
-    """Sizes, and whether each file is the one that the manifest was written for."""
+    """Print sizes, and whether each file matches its hash in the manifest."""
     from service.inference.bundle import file_sha256
 
     line(console, "files", "bold")

@@ -1,4 +1,4 @@
-"""``neuralmusic check``: what is wrong with a recording, channel by channel."""
+"""``neuralmusic check``: the faults of a recording, channel by channel."""
 
 from __future__ import annotations
 
@@ -7,14 +7,10 @@ import json
 import math
 from typing import TYPE_CHECKING, Any
 
-from service.cli.inputs import (
-    add_array,
-    add_recording,
-    open_recording,
-    read_array,
-    read_channel_map,
-)
-from service.cli.terminal import line, output, table, warn
+from neuralmusic.cli.flags import add_array
+from neuralmusic.cli.terminal import line, output, table, warn
+from service.cli.inputs import add_recording, open_recording, read_array, read_channel_map
+from service.machine.environment import prepare_process
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,6 +36,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    prepare_process()
     from service.doa.diagnostics import ChannelDiagnostics, LevelMeter
     from service.inference.geometry import choose_channels
 
@@ -47,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     with open_recording(args.file) as recording:
         given = read_channel_map(args.channel_map)
         chosen, assumed = choose_channels(recording.channels, array, given)
-        meter = LevelMeter(recording.channels)  # all channels are shown, the chosen ones judged
+        meter = LevelMeter(recording.channels)  # of all channels; only chosen ones are checked
         diagnostics = ChannelDiagnostics(recording.sample_rate, len(chosen), chosen)
         for block in recording.blocks(range(recording.channels), recording.sample_rate):
             meter.add(block)
@@ -65,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         line(console, f"{args.file}: {_summary(audio)}", "bold")
         _print_levels(console, meter.levels(), chosen)
         for warning in assumed:
-            warn(console, warning)
+            warn(console, warning.code, warning.detail)
         _print_findings(console, report)
     return FOUND if report.findings else 0
 
@@ -81,7 +78,7 @@ def _document(
     levels: ChannelLevels,
     report: DiagnosticReport,
 ) -> dict[str, Any]:
-    """What ``--json`` prints; a level of minus infinity is null."""
+    """The document of ``--json``; a level of minus infinity is null."""
     channels = [
         {
             "channel": channel,

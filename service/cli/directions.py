@@ -1,4 +1,4 @@
-"""A localized recording as text: who spoke from where and when, summary and warnings."""
+"""A localized recording as text: directions over time, summary and warnings."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from rich.console import Console
 
-from service.cli.terminal import clock, degrees, line, output, sector, table, warn
+from neuralmusic.cli.terminal import line, output, table, warn
+from neuralmusic.cli.words import clock, degrees, sector
 from service.doa.peaks import circular_difference
 from service.inference.results import Source
 from service.recordings.results import RecordingResult, WindowResult
@@ -35,7 +36,7 @@ def print_result(result: RecordingResult) -> None:
     console.print(drawn)
     _print_summary(console, result)
     for warning in result.warnings:
-        warn(console, warning)
+        warn(console, warning.code, warning.detail)
 
 
 def stretches(windows: Sequence[WindowResult]) -> list[Interval]:
@@ -61,7 +62,7 @@ def _by_azimuth(sources: Sequence[Source]) -> tuple[Source, ...]:
 
 
 def _same(first: Sequence[Source], second: Sequence[Source]) -> bool:
-    """True where the sources agree in some circular order: 359 and 1 degrees are neighbours."""
+    """Whether the sources agree in some circular order: 359 and 1 degrees are neighbours."""
     if len(first) != len(second):
         return False
     turns = range(max(len(second), 1))

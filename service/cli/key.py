@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from service.cli.terminal import line, output, table
-from service.errors import InvalidOption
+from neuralmusic.cli.terminal import line, output, table
+from neuralmusic.errors import InvalidOption
 
 if TYPE_CHECKING:
     from service.access.key_file import Key
@@ -26,35 +26,35 @@ def configure(parser: argparse.ArgumentParser) -> None:
         commands.add_parser(
             "new",
             help="make a key",
-            description="Make a key: the token is printed once, the file holds its hash alone.",
+            description="Make a key. The token is printed once; the file holds only its hash.",
             allow_abbrev=False,
         )
     )
     shown = commands.add_parser(
         "list",
         help="check a file of keys and list them",
-        description="Check a file of keys and list them; no token is in it.",
+        description="Check a file of keys and list them; it holds no tokens.",
         allow_abbrev=False,
     )
-    shown.add_argument("file", type=Path, metavar="FILE", help="as NEURALMUSIC_KEYS names it")
+    shown.add_argument("file", type=Path, metavar="FILE", help="the file of NEURALMUSIC_KEYS")
 
 
 def _configure_new(parser: argparse.ArgumentParser) -> None:
     from service.access.key_file import ROLES
 
     add = parser.add_argument
-    add("name", metavar="NAME", help="of whoever will have it, for logs")
-    add("--roles", required=True, metavar="ROLE,...", help=f"of {', '.join(ROLES)}")
-    add("--file", type=Path, metavar="FILE", help="add the line to this file, made where missing")
-    add("--max-sessions", type=int, metavar="N", help="streams at the same time")
-    add("--max-uploads", type=int, metavar="N", help="uploads at the same time")
+    add("name", metavar="NAME", help="name of the key's owner, for logs")
+    add("--roles", required=True, metavar="ROLE,...", help=f"one or more of {', '.join(ROLES)}")
+    add("--file", type=Path, metavar="FILE", help="add the line to this file, which may be new")
+    add("--max-sessions", type=int, metavar="N", help="most streams at the same time")
+    add("--max-uploads", type=int, metavar="N", help="most uploads at the same time")
     add("--audio-seconds-per-hour", type=float, metavar="S", help="recordings and streams together")
     add(
         "--origins",
         metavar="URL,...",
-        help="web pages that may use it, such as https://dash.example",
+        help="web pages that may use the key, such as https://dash.example",
     )
-    add("--expires", metavar="DATE", help="as 2030-01-31, from whose midnight (UTC) it is refused")
+    add("--expires", metavar="DATE", help="such as 2030-01-31: refused from its first second, UTC")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -72,7 +72,7 @@ def _new(args: argparse.Namespace) -> int:
         return 0
     if args.file.exists() and args.file.stat().st_size:
         if key.name in {known.name for known in read_keys(args.file, empty=True)}:
-            raise InvalidOption(f"{args.file} has a key {key.name}: take another name")
+            raise InvalidOption(f"{args.file} has a key {key.name}: choose another name")
         key_line = ("" if args.file.read_text().endswith("\n") else "\n") + key.line
     else:
         key_line = key.line
@@ -81,7 +81,7 @@ def _new(args: argparse.Namespace) -> int:
         file.write(f"{key_line}\n")
     print(f"token: {token}")
     print(
-        f"It is shown this once. {args.file} holds its hash; a running service reads it on SIGHUP."
+        f"It is not shown again. {args.file} holds its hash; a running service reads it on SIGHUP."
     )
     return 0
 

@@ -9,8 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from service.cli.inputs import add_array, add_recording, open_recording
+from neuralmusic.cli.flags import add_array
+from service.cli.inputs import add_recording, open_recording
 from service.cli.options import add_options, read_request
+from service.machine.environment import prepare_process
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 NAME = "localize"
 SUMMARY = "localize the sources in a recording"
 
-LONG_S = 20.0  # shorter recordings are done before a progress bar can be read
+LONG_S = 20.0  # shorter recordings are done before anybody reads a progress bar
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -35,6 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    prepare_process()
     asked = read_request(args, spectrum=str(args.spectrum))
     if args.plot:
         from service.cli.plot import check_drawable
@@ -59,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _without_spectra(result: RecordingResult) -> RecordingResult:
-    """The result as it is where only the picture needed the spectra."""
+    """The result without the spectra that only the picture needed."""
     from service.recordings.packed_windows import PackedWindows
 
     windows = PackedWindows(spectrum=False)
@@ -86,7 +89,7 @@ def _localize(args: argparse.Namespace, options: LocalizeOptions) -> RecordingRe
 
 @contextmanager
 def _progress(duration: float) -> Iterator[Callable[[float], None] | None]:
-    """A bar on a terminal's standard error while a long recording is worked on."""
+    """A bar on a terminal's standard error while a long recording is localized."""
     from rich.console import Console
     from rich.progress import Progress
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from neuralmusic.errors import ConfigError
 from service.doa.array import pairwise_distances
 from service.doa.types import FloatArray
-from service.errors import ConfigError
 from service.recordings.results import RecordingResult, SummarySource
 
 if TYPE_CHECKING:
@@ -27,16 +27,16 @@ NEEDLE = "#d1495b"
 MAP = "GnBu"
 SIZE = (12.0, 5.6)  # inches
 RESOLUTION = 150  # dots per inch
-ARRAY_RADIUS = 0.34  # of the polar view: the disc in its middle that shows the array
+ARRAY_RADIUS = 0.34  # radius, in the polar view, of the disc that shows the array
 NAMED = {0: "front\n0°", 90: "left\n90°", 180: "180°\nback", 270: "right\n270°"}
 LABEL_RADIUS = 0.78
-PASSES = 200  # of pushing overlapping labels apart, each by half of what is left
-MANY_WINDOWS = 100  # of more, the dots are smaller
-MIN_GAP = math.radians(19.0)  # between the labels of two directions
+PASSES = 200  # passes that push overlapping labels apart, each by half of the overlap
+MANY_WINDOWS = 100  # windows above which the dots are smaller
+MIN_GAP = math.radians(19.0)  # gap between the labels of two directions
 
 
 def check_drawable(path: Path) -> None:
-    """Raise ConfigError where a picture cannot be drawn into a file of this name.
+    """Raise ConfigError where a picture cannot be drawn into this file.
 
     matplotlib is an optional extra, and the suffix names the format.
     """
@@ -44,7 +44,8 @@ def check_drawable(path: Path) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
     except ImportError:
         raise ConfigError(
-            'pictures need matplotlib: pip install "neuralmusic[plot]", or leave --plot out'
+            "pictures need matplotlib: pip install ./client '.[plot]' in the project's folder, or "
+            "leave --plot out"
         ) from None
     if path.suffix[1:].lower() not in FigureCanvasAgg.get_supported_filetypes():
         raise ConfigError(f"{path} names no picture format: end it in .png, .svg or .pdf")
@@ -57,7 +58,7 @@ def save_figure(result: RecordingResult, path: Path) -> None:
 
 
 def localization_figure(result: RecordingResult) -> Figure:
-    """Left the mean spectrum around the array, right the azimuth over time."""
+    """A figure: on the left the mean spectrum around the array, on the right azimuth over time."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -74,7 +75,7 @@ def localization_figure(result: RecordingResult) -> Figure:
 
 
 def mean_spectrum(result: RecordingResult) -> FloatArray:
-    """Mean of the spectra of the windows with sources, or of all, with its maximum at 1."""
+    """Mean spectrum of the windows with sources, or of all if none has any, scaled to maximum 1."""
     heard = [window for window in result.windows if window.estimate.sources]
     spectra = [window.estimate.spectrum for window in heard or result.windows]
     mean: FloatArray = np.mean(spectra, axis=0) if spectra else np.zeros(360)
@@ -83,7 +84,7 @@ def mean_spectrum(result: RecordingResult) -> FloatArray:
 
 
 def spread_labels(azimuths: Sequence[float], gap: float = MIN_GAP) -> list[float]:
-    """Azimuths in radians moved apart until neighbours keep the gap, in the order given."""
+    """Azimuths in radians, moved apart until neighbours keep the gap, in the given order."""
     count = len(azimuths)
     if count < 2:
         return list(azimuths)
@@ -118,7 +119,7 @@ def _title(figure: Figure, result: RecordingResult) -> None:
     figure.text(
         0.49,
         0.85,
-        "colour: spatial spectrum  ·  dots: sources, larger where surer",
+        "colour: spatial spectrum  ·  dots: sources, larger with confidence",
         fontsize=9,
         color=LABEL,
     )
@@ -172,7 +173,7 @@ def _draw_needles(axes: PolarAxes, sources: Sequence[SummarySource]) -> None:
 
 
 def _draw_array(axes: PolarAxes, result: RecordingResult) -> None:
-    """The microphones to scale on a disc in the middle, x up and y to the left."""
+    """Draw the microphones to scale on a disc in the middle, x up and y to the left."""
     centred = result.array.positions - result.array.positions.mean(axis=0)
     radius = np.hypot(centred[:, 0], centred[:, 1])
     scale = 0.6 * ARRAY_RADIUS / max(float(radius.max()), 1e-9)
@@ -216,7 +217,7 @@ def _draw_timeline(axes: Axes, colours: Axes, result: RecordingResult) -> None:
 
 
 def _draw_dots(axes: Axes, result: RecordingResult, edges: Sequence[float]) -> None:
-    """Every window's sources in the middle of its column, larger where they are surer."""
+    """Draw every window's sources in the middle of its column, larger with confidence."""
     dots = [
         ((edges[index] + edges[index + 1]) / 2, math.degrees(source.azimuth), source.confidence)
         for index, window in enumerate(result.windows)

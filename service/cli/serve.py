@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import argparse
 
+from service.machine.environment import prepare_process
+
 NAME = "serve"
 SUMMARY = "run the HTTP service"
 VALUE: dict[object, str] = {int: "N", float: "SECONDS"}
-"""What a flag takes, by the type of its setting"""
+"""Placeholder of a flag's value by the type of its setting"""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Flags from the settings' fields; their texts are the fields' docstrings."""
+    """Add a flag for every setting, with the setting's docstring as its help."""
     from service.settings import RENAMED, Settings, flag, variable
 
     for name, field in Settings.model_fields.items():
@@ -29,11 +31,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted."""
-    from service import __version__
+    prepare_process()
+    from neuralmusic import __version__
     from service.server import serve
     from service.settings import RENAMED, Settings, load_settings
 
-    # Values stay text: the settings check them as they check the environment.
+    # Values stay text: the settings check them like those of the environment.
     names = (*Settings.model_fields, *RENAMED)
     settings = load_settings(**{name: getattr(args, name) for name in names})
     serve(settings, lambda url: print(f"neuralmusic {__version__} serves on {url}", flush=True))

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from neuralmusic.errors import InvalidChannelMap, InvalidGeometry
 from service.doa.types import FloatArray
-from service.errors import InvalidChannelMap, InvalidGeometry
 
 MIN_MICROPHONES = 2
 MAX_MICROPHONES = 32
@@ -27,7 +27,7 @@ def speed_of_sound(temperature_c: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MicrophoneArray:
-    """The positions of N microphones, channel n of the mapped audio being microphone n.
+    """The positions of N microphones; channel n of the mapped audio is microphone n.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class MicrophoneArray:
     positions : (N, 3) float64
         Metres in the array frame (x forward, y left, z up).
     source : str
-        Where the positions come from.
+        Source of the positions.
 
     Raises
     ------
@@ -49,8 +49,8 @@ class MicrophoneArray:
     positions: FloatArray
     source: str = ""
     linear: bool = field(init=False)
-    """True where all microphones lie on one line as seen from above, as those of a vertical plane
-    do: its two sides cannot be told apart"""
+    """True where all microphones lie on one line seen from above, as in a vertical plane: the two
+    sides cannot be told apart"""
 
     def __post_init__(self) -> None:
         positions = np.array(self.positions, dtype=np.float64)
@@ -82,7 +82,7 @@ class MicrophoneArray:
         return float(pairwise_distances(self.positions).max())
 
     def matches(self, other: MicrophoneArray, tolerance: float = 1e-3) -> bool:
-        """True where both hold the same microphones in the same order, up to a translation."""
+        """Whether both arrays have the same microphones in the same order, up to a translation."""
         if self.num_microphones != other.num_microphones:
             return False
         own = self.positions - self.positions.mean(axis=0)

@@ -38,7 +38,7 @@ def music(
     steering : (F, N, A) complex64
     num_sources : int
     products : PairProducts, optional
-        Of the steering vectors, for covariances (F, N, N): a third of the time.
+        Products of the steering vectors; with covariances (F, N, N) they cut the time to a third.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def norm_music(
     num_sources: int,
     products: PairProducts | None = None,
 ) -> FloatArray:
-    """Broadband MUSIC with every bin's spectrum divided by its maximum: parameters as ``music``.
+    """Broadband MUSIC with every bin's spectrum divided by its maximum; parameters as ``music``.
 
     References
     ----------
@@ -73,7 +73,7 @@ def _music_spectrum(
     num_sources: int,
     products: PairProducts | None,
 ) -> FloatArray:
-    """Every bin's spectrum (..., F, A)."""
+    """The spectrum of every bin (..., F, A)."""
     if products is None:
         return music_spectrum(signal_subspace(covariance, num_sources), steering)
     projector = signal_projector(covariance, num_sources)

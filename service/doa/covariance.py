@@ -7,8 +7,8 @@ import numpy as np
 from service.doa.types import ComplexArray, FloatArray, IntArray
 
 MOST_PLANES = 4
-"""Microphones up to which small matrices cost less entry by entry, over all blocks and bins at
-once, than as thousands of calls of BLAS"""
+"""Most microphones for which small matrices cost less entry by entry, over all blocks and bins at
+once, than in thousands of calls of BLAS"""
 
 
 def sample_covariance(spectra: ComplexArray) -> ComplexArray:
@@ -22,7 +22,7 @@ def sample_covariance(spectra: ComplexArray) -> ComplexArray:
     -------
     covariance : (..., F, N, N) complex64
     """
-    # Copied once: the product would copy both of its operands.
+    # One copy here: the product would copy both of its operands.
     by_bin = np.ascontiguousarray(np.swapaxes(spectra, -3, -2))  # (..., F, N, L)
     covariance: ComplexArray = by_bin @ np.conj(np.swapaxes(by_bin, -1, -2))
     return covariance / np.float32(spectra.shape[-1])
@@ -46,7 +46,7 @@ def weighted_covariance(unit: ComplexArray, weights: FloatArray, block_frames: i
     Returns
     -------
     covariance : (L / block_frames, F, N, N) complex64
-        Of up to ``MOST_PLANES`` microphones as planes in memory: N x N arrays over blocks and bins.
+        For up to ``MOST_PLANES`` microphones planes in memory: N x N arrays over blocks and bins.
     """
     microphones, bins, frames = unit.shape
     scaled = np.swapaxes(unit * np.sqrt(weights), 1, 2)  # (N, L, F), the STFT's order in memory
@@ -65,17 +65,17 @@ def weighted_covariance(unit: ComplexArray, weights: FloatArray, block_frames: i
 
 
 def diagonal_loading(covariance: ComplexArray, loading: float) -> ComplexArray:
-    """R + loading I, in place; it bounds the eigenvalues from below, the eigenvectors stay."""
-    for microphone in range(covariance.shape[-1]):  # planes in memory are added to one by one
+    """R + loading I, in place; bounds the eigenvalues from below and keeps the eigenvectors."""
+    for microphone in range(covariance.shape[-1]):  # one by one, as they may be planes in memory
         covariance[..., microphone, microphone] += np.float32(loading)
     return covariance
 
 
 def chosen_and_sum(blocks: ComplexArray, chosen: IntArray) -> ComplexArray:
-    """Some of a bin's blocks and, behind them, the sum of all.
+    """Chosen blocks of every bin and, behind them, the sum of all.
 
-    ``blocks`` (K, F, N, N) and the indices ``chosen`` (R, F) give (R + 1, F, N, N) in the order in
-    memory of ``weighted_covariance``.
+    ``blocks`` (K, F, N, N) and the indices ``chosen`` (R, F) give (R + 1, F, N, N), with the memory
+    order of ``weighted_covariance``.
     """
     count, bins = chosen.shape
     microphones = blocks.shape[-1]

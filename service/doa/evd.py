@@ -3,7 +3,7 @@
 Conventions
 -----------
 Eigenvalues ascend, as LAPACK gives them. The signal subspace Us holds the eigenvectors of the M
-largest eigenvalues and the noise projector is I - Us Us^H, so the noise eigenvectors are never
+largest eigenvalues, and the noise projector is I - Us Us^H, so the noise eigenvectors are never
 needed.
 """
 
@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from neuralmusic.errors import TooManySources
 from service.doa.covariance import MOST_PLANES
 from service.doa.types import ComplexArray, FloatArray
-from service.errors import TooManySources
 
 SQUARINGS = 3
 APPLICATIONS = 3
-"""Of R^8 to a column of it, which is R^32's then: a vector costs a quarter or less of a matrix"""
+"""Times that R^8 multiplies one of its columns, which gives R^32's: a vector costs a quarter or
+less of a matrix"""
 
 
 def signal_subspace(covariance: ComplexArray, num_sources: int) -> ComplexArray:
@@ -58,9 +59,9 @@ def check_dimension(num_sources: int, microphones: int) -> None:
 def principal_eigenvector(covariance: ComplexArray) -> tuple[ComplexArray, FloatArray]:
     """The eigenvector of the largest eigenvalue and that eigenvalue's share of the trace.
 
-    By squaring: the columns of R^(2^k) turn to the principal eigenvector as (l2 / l1)^(2^k). It
-    takes a tenth of LAPACK's time (docs/performance.md) and is exact to 1e-3 where l2 < 0.8 l1;
-    where two eigenvalues are closer, it is some vector of their plane.
+    Repeated squaring: the columns of R^(2^k) converge to the principal eigenvector as
+    (l2 / l1)^(2^k). This takes a tenth of LAPACK's time (docs/performance.md) and is exact to 1e-3
+    where l2 < 0.8 l1; where two eigenvalues are closer, the result is some vector of their plane.
 
     Parameters
     ----------
@@ -72,9 +73,9 @@ def principal_eigenvector(covariance: ComplexArray) -> tuple[ComplexArray, Float
     vector : (..., N) complex64
         Unit norm.
     share : (...) float32
-        Between 1 / N and 1; 0 of a zero matrix.
+        Between 1 / N and 1; 0 for a zero matrix.
     """
-    # Matrices first, (N, N, C): numpy's moveaxis costs more than small arrays' arithmetic.
+    # Matrices first, (N, N, C): numpy's moveaxis costs more than the arithmetic of small arrays.
     shape, microphones = covariance.shape[:-2], covariance.shape[-1]
     axes = range(covariance.ndim - 2)
     planes = covariance.transpose(-2, -1, *axes)
@@ -83,10 +84,10 @@ def principal_eigenvector(covariance: ComplexArray) -> tuple[ComplexArray, Float
         planes, product = np.ascontiguousarray(planes), planes_product
     planes = planes.reshape(microphones, microphones, -1)
     trace = trace_of(planes)
-    power = planes * (1 / trace)  # multiplied: a complex array by a real one divides slowly
+    power = planes * (1 / trace)  # dividing a complex array by a real one would be slow
     for _ in range(SQUARINGS):
         power = product(power, power)
-    # The trace is made one again, so that float32 neither over- nor underflows.
+    # A trace of one keeps float32 from over- and underflow.
     power *= 1 / trace_of(power)
     largest = np.argmax(np.einsum("iic->ic", power).real, axis=0)
     column = power[:, largest, np.arange(len(largest))][:, None]
@@ -109,7 +110,7 @@ def planes_product(first: ComplexArray, second: ComplexArray) -> ComplexArray:
 
 
 def _matrix_product(first: ComplexArray, second: ComplexArray) -> ComplexArray:
-    """The same by BLAS, matrix by matrix."""
+    """``planes_product`` by BLAS, matrix by matrix."""
     matrices, others = (np.moveaxis(each, (0, 1), (-2, -1)) for each in (first, second))
     return np.moveaxis(matrices @ others, (-2, -1), (0, 1))
 

@@ -1,8 +1,8 @@
 """Array-independent features of a multichannel spectrogram, the weights network's input.
 
-Nothing in them depends on the number, the order or the places of the microphones: a level, its
-onset, and how far the channel vector keeps its direction from frame to frame and from bin to bin,
-which it does while one source's direct sound dominates.
+They do not depend on the number, the order or the places of the microphones: a level, its onset,
+and how well the channel vector keeps its direction from frame to frame and from bin to bin, as it
+does while one source's direct sound dominates.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from service.doa.types import ComplexArray, FloatArray
 
 NUM_FEATURES = 5
 LAGS = (1, 2)  # frames
-BIN_LAG = 2  # windowed noise is all but independent there, and no array turns far in 62 Hz
+BIN_LAG = 2  # windowed noise is almost independent two bins apart, and no phase turns far in 62 Hz
 LEVEL_FLOOR = 1e-5  # of the window's mean power, 50 dB down: quieter cells look alike
 LEVEL_SCALE = 0.25  # brings the natural logarithm of power to unit spread
 
@@ -32,14 +32,14 @@ def unit_vectors_and_power(spectra: ComplexArray) -> tuple[ComplexArray, FloatAr
     power : (..., F, L) float32
         ||x||^2.
 
-    Both have frames before bins in memory, as the STFT has.
+    In memory frames come before bins in both, as in the STFT.
     """
     frames = np.swapaxes(spectra, -1, -2)
     if frames.strides[-1] != frames.itemsize:
         frames = np.ascontiguousarray(frames)
     squares = np.square(frames.view(np.float32)).sum(axis=-3)  # of real and imaginary parts
     power = squares[..., ::2] + squares[..., 1::2]  # (..., L, F)
-    # Multiplied: a complex array by a real one divides slowly.
+    # Dividing a complex array by a real one would be slow.
     scale = 1 / np.sqrt(np.maximum(power, np.finfo(np.float32).tiny))
     unit = frames * scale[..., None, :, :]
     return np.swapaxes(unit, -1, -2), np.swapaxes(power, -1, -2)
@@ -48,15 +48,15 @@ def unit_vectors_and_power(spectra: ComplexArray) -> tuple[ComplexArray, FloatAr
 def coherence_features(
     unit: ComplexArray, power: FloatArray, mean_power: FloatArray | None = None
 ) -> FloatArray:
-    """Level, onset and the coherences of every time-frequency cell with its neighbours.
+    """Level, onset and coherences with its neighbours of every time-frequency cell.
 
     Parameters
     ----------
     unit, power : (..., N, F, L) complex64, (..., F, L) float32
         From ``unit_vectors_and_power``.
     mean_power : (...,) float32, optional
-        Mean over cells of ||x||^2 that levels are relative to; by default that of ``power``. A
-        stream gives that of its last second with a few frames.
+        Mean over cells of ||x||^2 to which levels are relative; by default the mean of ``power``. A
+        stream gives the mean of its last second with a few frames.
 
     Returns
     -------
@@ -71,7 +71,8 @@ def coherence_features(
 def coherences(unit: ComplexArray) -> FloatArray:
     """|x_t^H x_(t-1)|, |x_t^H x_(t-2)| and |x_f^H x_(f-2)| of unit vectors (..., N, F, L).
 
-    (..., 3, F, L) float32, zero where there is no predecessor; in memory frames come before bins.
+    The result is (..., 3, F, L) float32, zero where there is no predecessor; in memory frames come
+    before bins.
     """
     unit = np.swapaxes(unit, -1, -2)
     conjugate = np.conj(unit)
@@ -87,7 +88,7 @@ def coherences(unit: ComplexArray) -> FloatArray:
 def window_features(
     coherence: FloatArray, power: FloatArray, mean_power: FloatArray | None = None
 ) -> FloatArray:
-    """The features of windows whose ``coherences`` are known, also from frames before them.
+    """The features of windows with known ``coherences``, which may reach frames before the window.
 
     Parameters and result are those of ``coherence_features``, with ``coherence`` (..., 3, F, L).
     """

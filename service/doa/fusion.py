@@ -45,7 +45,7 @@ def mean_fusion(spectra: FloatArray) -> FloatArray:
 
 
 def normalised_fusion(spectra: FloatArray) -> FloatArray:
-    """``mean_fusion`` of what ``normalise`` gives, without the array between them."""
+    """``mean_fusion`` of ``normalise``, without the array between them."""
     peak = np.maximum(spectra.max(axis=-1), np.finfo(np.float32).tiny)
     shares = np.float32(1 / spectra.shape[-2]) / peak
     fused: FloatArray = (shares[..., None, :] @ spectra)[..., 0, :]

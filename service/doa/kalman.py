@@ -32,12 +32,12 @@ class AzimuthFilter:
     azimuth_variance: float
     """Radians squared"""
     covariance: float
-    """Of azimuth and velocity, radians squared per second"""
+    """Covariance of azimuth and velocity, radians squared per second"""
     velocity_variance: float
     """Radians squared per second squared"""
 
     def predict(self, duration: float, damping: float, spread: float) -> None:
-        """Move on by a duration, exactly: two halves give what the whole gives.
+        """Predict over a duration, exactly: two halves give the same as the whole.
 
         Parameters
         ----------
@@ -50,7 +50,7 @@ class AzimuthFilter:
         """
         kept = math.exp(-duration / damping)
         lost = 1 - kept
-        reach = damping * lost  # seconds that the present velocity still carries
+        reach = damping * lost  # seconds for which the present velocity still counts
         power = spread * spread
         self.azimuth = wrapped(self.azimuth + reach * self.velocity)
         self.velocity *= kept

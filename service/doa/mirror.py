@@ -1,9 +1,9 @@
 """The mirror images that arrays on one line cannot tell from the source.
 
-A line hears the angle to its axis alone: a source in front of it and its reflection behind it give
-the same signals. So does an array in a vertical plane of horizontal directions, or any that is a
-line as seen from above. Only one half of the circle is searched then: the one towards +x, or
-towards +y for a line along x.
+A line hears only the angle to its axis: a source in front of it and its mirror image behind it give
+the same signals. The same holds for any array that is a line seen from above, such as one in a
+vertical plane, and horizontal directions. Only one half of the circle is searched then: the one
+towards +x, or towards +y for a line along x.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from service.doa.types import BoolArray, FloatArray
 
 
 def searched_half(array: MicrophoneArray, azimuth: FloatArray) -> BoolArray:
-    """(A,) which azimuths are searched: all, or those on the searched side of a line."""
+    """(A,) True for the azimuths to search: all, or those on the searched side of a line."""
     if not array.linear:
         return np.ones(azimuth.shape, dtype=bool)
     side = azimuth - _normal(array)

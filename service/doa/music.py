@@ -1,6 +1,6 @@
 """The MUSIC pseudo-spectrum of signal subspaces.
 
-With ||a||^2 = N its denominator a^H (I - Us Us^H) a is N - ||Us^H a||^2.
+With ||a||^2 = N the denominator a^H (I - Us Us^H) a is N - ||Us^H a||^2.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def eigenvector_power(vectors: ComplexArray, steering: ComplexArray) -> FloatArr
     """
     scaled = np.conj(np.swapaxes(vectors, -1, -2)) * np.float32(steering.shape[-2] ** -0.5)
     response = scaled @ steering
-    # Squared in place: the response is megabytes, and fresh memory costs more than arithmetic.
+    # Square in place: the response is megabytes, and fresh memory costs more than arithmetic.
     parts = response.view(response.real.dtype)
     np.square(parts, out=parts)
     power: FloatArray = parts[..., 0::2] + parts[..., 1::2]
@@ -70,8 +70,8 @@ def music_spectrum(
 
 
 def spectrum_of_power(power: FloatArray, floor: float = DENOMINATOR_FLOOR) -> FloatArray:
-    """``music_spectrum`` of what ``signal_power`` gives, in its place."""
-    # Fresh memory costs more than arithmetic.
+    """``music_spectrum`` from the output of ``signal_power``, in place."""
+    # In place: fresh memory costs more than arithmetic.
     np.subtract(1, power, out=power)
     np.maximum(power, 0, out=power)
     power += np.float32(floor)

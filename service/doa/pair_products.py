@@ -1,8 +1,8 @@
 """a^H P a of Hermitian matrices P and steering vectors of few microphones, as real products.
 
-Where steering vectors are delays alone, |a_n| = 1, a^H P a = tr P + sum over pairs i < j of
-2 Re(P_ij conj(a_i) a_j). For few microphones that is less than complex responses and their squares:
-what depends on the array is computed once, and a matrix gives a row of real coefficients.
+Where steering vectors are pure delays, |a_n| = 1, a^H P a = tr P + sum over pairs i < j of
+2 Re(P_ij conj(a_i) a_j). For few microphones this costs less than complex responses and their
+squares: the array's part is computed once, and a matrix gives a row of real coefficients.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ class PairProducts:
     Parameters
     ----------
     steering : (F, N, A) complex64
-        Of unit entries. Where the second half of the azimuths is opposite the first, delays change
-        their signs and the products are the conjugates: the first half is enough.
+        Entries of modulus 1. Where the second half of the azimuths is opposite the first, delays
+        change their signs and the products are the conjugates: the first half is enough.
     """
 
     def __init__(self, steering: ComplexArray) -> None:
@@ -35,10 +35,10 @@ class PairProducts:
         signs = np.ones((halves, 1 + 2 * number), dtype=np.float32)
         signs[1:, 1 + number :] = -1
         self._signs = signs
-        """Of the coefficients for each half"""
+        """Signs of the coefficients for each half"""
 
     def outer(self, vectors: ComplexArray) -> ComplexArray:
-        """u_i conj(u_j) of all pairs: (N (N - 1) / 2, ...) of vectors (N, ...)."""
+        """u_i conj(u_j) of all pairs of vectors (N, ...): (N (N - 1) / 2, ...)."""
         products: ComplexArray = vectors[self._first] * np.conj(vectors[self._second])
         return products
 
@@ -47,12 +47,12 @@ class PairProducts:
         return self.power(rank, projector[self._first, self._second][:, None])[:, 0]
 
     def power(self, trace: float, pairs: ComplexArray) -> FloatArray:
-        """a^H P a / N of K matrices a bin.
+        """a^H P a / N of K matrices per bin.
 
         Parameters
         ----------
         trace : float
-            Of all matrices.
+            Trace of every matrix.
         pairs : (N (N - 1) / 2, K, F) complex64
             Entries P_ij as ``outer`` orders them.
 
@@ -76,7 +76,7 @@ class PairProducts:
 def pair_products(steering: ComplexArray) -> PairProducts | None:
     """The products of steering vectors (F, N, A).
 
-    None for more than ``MOST_PLANES`` microphones and for whitened steering vectors.
+    The result is None for more than ``MOST_PLANES`` microphones and for whitened steering vectors.
     """
     delays_alone = np.allclose(np.abs(steering), 1, atol=1e-5)
     few = steering.shape[1] <= MOST_PLANES

@@ -31,9 +31,9 @@ def find_peaks(
     Parameters
     ----------
     spectrum : (A,) float
-        On ``azimuth_grid(A)``; index 0 and A - 1 are neighbours.
+        Values on ``azimuth_grid(A)``; index 0 and A - 1 are neighbours.
     max_peaks : int
-        How many at most.
+        Most peaks in the result.
     min_separation : float
         Radians; of two maxima closer than this only the higher one counts.
 
@@ -46,7 +46,7 @@ def find_peaks(
     # The strict side makes a plateau of two equal samples one maximum instead of none or two.
     rises = closed[1:] > closed[:-1]
     candidates = np.flatnonzero(rises[:-1] > rises[1:]).tolist()
-    values = spectrum.tolist()  # numpy's scalars cost ten times a float's reading
+    values = spectrum.tolist()  # reading numpy's scalars costs ten times as much
     order = sorted(candidates, key=values.__getitem__, reverse=True)
     step = 2 * np.pi / spectrum.size
     kept: list[Peak] = []

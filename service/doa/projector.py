@@ -1,9 +1,9 @@
 """The projector on the signal subspace of small Hermitian matrices, without eigenvectors.
 
-A projector on eigenvectors is a polynomial of the matrix: one that is 1 at the eigenvalues of the
-signal and 0 at those of the noise. For up to four microphones the characteristic polynomial has at
-most degree four and can be solved, for all bins at once; LAPACK goes from bin to bin and takes
-three times as long (docs/performance.md).
+A projector on eigenvectors is a polynomial of the matrix that is 1 at the eigenvalues of the signal
+and 0 at those of the noise. For up to four microphones the characteristic polynomial has at most
+degree four and can be solved for all bins at once; LAPACK goes from bin to bin and takes three
+times as long (docs/performance.md).
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from service.doa.evd import check_dimension, planes_product, signal_subspace, tr
 from service.doa.types import ComplexArray, FloatArray
 
 MOST_SOURCES = 2
-"""That are found so"""
+"""Most sources for which the polynomial is used"""
 NEWTON_STEPS = 2
 MOST_RESIDUAL = 1e-5
-"""Of the traces of P and P^2, which are the number of sources. Bins above it go to LAPACK: signal
-and noise have eigenvalues there that differ by some 1e-5 of the trace, or not at all"""
+"""Largest error of the traces of P and P^2, which should be the number of sources. Bins above it go
+to LAPACK: their eigenvalues of signal and noise differ by some 1e-5 of the trace, or not at all"""
 TINY = np.finfo(np.float64).tiny
 
 
@@ -31,7 +31,7 @@ def signal_projector(covariance: ComplexArray, num_sources: int) -> ComplexArray
     covariance : (F, N, N) complex64
         Hermitian, positive semidefinite, N at most ``MOST_PLANES``.
     num_sources : int
-        1 to N - 1; up to ``MOST_SOURCES`` of them without eigenvectors.
+        1 to N - 1; up to ``MOST_SOURCES`` need no eigenvectors.
 
     Returns
     -------
@@ -46,15 +46,15 @@ def signal_projector(covariance: ComplexArray, num_sources: int) -> ComplexArray
         return _by_eigenvectors(covariance, num_sources)
     bins, microphones, _ = covariance.shape
     check_dimension(num_sources, microphones)
-    # Microphones that hear nothing add eigenvalues of zero, behind all others.
+    # Padding with silent microphones adds eigenvalues of zero, after all others.
     matrices = np.zeros((MOST_PLANES, MOST_PLANES, bins), dtype=np.complex128)
     matrices[:microphones, :microphones] = covariance.transpose(1, 2, 0)
     matrices *= 1 / trace_of(matrices)
     _plus_diagonal(matrices, -1 / MOST_PLANES)
-    with np.errstate(all="ignore"):  # what comes of bins without a gap is not used
+    with np.errstate(all="ignore"):  # bins without a gap are computed again below
         projector = _polynomial(matrices, num_sources)
         traces = np.array([trace_of(projector), _inner(projector, projector)])
-        unclear = ~(np.abs(traces - num_sources).max(axis=0) < MOST_RESIDUAL)  # not a number, too
+        unclear = ~(np.abs(traces - num_sources).max(axis=0) < MOST_RESIDUAL)  # true for NaN, too
     projector = projector[:microphones, :microphones]
     if unclear.any():
         projector[:, :, unclear] = _by_eigenvectors(covariance[unclear], num_sources)
@@ -68,7 +68,7 @@ def _by_eigenvectors(covariance: ComplexArray, num_sources: int) -> ComplexArray
 
 
 def _polynomial(matrix: ComplexArray, rank: int) -> ComplexArray:
-    """Of traceless matrices (4, 4, F), the one that is 1 at their largest eigenvalues."""
+    """The polynomial of traceless matrices (4, 4, F) that is 1 at their largest eigenvalues."""
     square = planes_product(matrix, matrix)
     # The characteristic polynomial x^4 + p x^2 + q x + r, by Newton's identities.
     second, third, fourth = _inner(matrix, matrix), _inner(matrix, square), _inner(square, square)
@@ -82,7 +82,7 @@ def _polynomial(matrix: ComplexArray, rank: int) -> ComplexArray:
 def _two_roots(p: FloatArray, q: FloatArray, r: FloatArray) -> tuple[FloatArray, ...]:
     """Coefficients (F,) of (l x + m)(x^2 + s x + u) + v: 1 at the two largest roots, 0 at others.
 
-    At the two, where x^2 is s x - t, the second factor is 2 s x + w.
+    At the two largest, where x^2 is s x - t, the second factor is 2 s x + w.
     """
     s, t, u = _quadratics(p, q, r)
     twice, w = s + s, u - t
@@ -92,10 +92,10 @@ def _two_roots(p: FloatArray, q: FloatArray, r: FloatArray) -> tuple[FloatArray,
 
 
 def _one_root(p: FloatArray, q: FloatArray, r: FloatArray) -> tuple[FloatArray, ...]:
-    """The same of the largest root alone: the polynomial divided by x - root, made 1 there."""
+    """The same for the largest root alone: the polynomial over x - root, scaled to 1 there."""
     s, t, _ = _quadratics(p, q, r)
     root = s / 2 + np.sqrt(np.maximum(s * s / 4 - t, 0))
-    for _ in range(NEWTON_STEPS):  # where the others are alike, it has half of its digits
+    for _ in range(NEWTON_STEPS):  # where the other roots coincide, half of the digits are right
         square = root * root
         slope = (4 * square + 2 * p) * root + q
         root = root - (((square + p) * root + q) * root + r) / slope
@@ -129,7 +129,7 @@ def _inner(first: ComplexArray, second: ComplexArray) -> FloatArray:
 
 
 def _plus_diagonal(matrices: ComplexArray, values: FloatArray | float) -> ComplexArray:
-    """Matrices (N, N, F) with these on the diagonal in addition, in place."""
+    """Add values to the diagonals of matrices (N, N, F), in place."""
     for entry in range(len(matrices)):
         matrices[entry, entry] += values
     return matrices

@@ -2,7 +2,7 @@
 
 With one signal dimension and ||a||^2 = N the pseudo-spectrum is 1 / (1 - |u^H a|^2 / N + floor).
 Divided by its maximum over the azimuths it is d_min / d with the distance
-d = 1 + floor - |u^H a|^2 / N, so that one division per value is enough.
+d = 1 + floor - |u^H a|^2 / N, so one division per value is enough.
 """
 
 from __future__ import annotations
@@ -56,8 +56,7 @@ def shared_music(
 ) -> RankOneMusic:
     """The spectra of an array (N, 3) on ``azimuth_grid(grid_size)``.
 
-    The same instance for the same array as long as anybody has one: robots of one kind share it,
-    a megabyte or more.
+    Users of the same array share one instance, which takes a megabyte or more.
     """
     key = (positions.tobytes(), frequencies.tobytes(), grid_size, floor)
     music = _shared.get(key)

@@ -1,6 +1,6 @@
 """Scores of estimated directions against the truth.
 
-Task: a method reports some directions for a window in which some sources sound.
+Task: a method reports directions for a window in which some sources sound.
 
 Conventions
 -----------
@@ -15,8 +15,8 @@ maae : mean absolute angular error of matched pairs.
 f1 : hits within a tolerance against misses and false alarms.
 ospa : one number for position and cardinality errors.
 count_accuracy : share of windows whose number of sources is right.
-evaluate : these and three shares more: of windows whose first estimate is within 10 degrees of a
-    source, of sources that none is within 10 degrees of, of windows without any estimate.
+evaluate : these and three shares: windows whose first estimate is within 10 degrees of a source,
+    sources without an estimate within 10 degrees, windows without any estimate.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def detection(estimated: FloatArray, truth: FloatArray, tolerance: float) -> Det
 
 def _assign(costs: FloatArray) -> tuple[IntArray, IntArray]:
     """Rows and columns of the assignment with the least total cost."""
-    # Imported here: the service scores nothing, and scipy.optimize is half of its start.
+    # The import is here because the service scores nothing and would start twice as slowly.
     from scipy.optimize import linear_sum_assignment
 
     rows, columns = linear_sum_assignment(costs)
@@ -132,9 +132,9 @@ def count_accuracy(estimated: Sequence[int], truth: Sequence[int]) -> float:
 
 
 def evaluate(estimated: Sequence[FloatArray], truth: Sequence[FloatArray]) -> dict[str, float]:
-    """All scores over windows; angles in degrees, since this is what tables show.
+    """All scores over windows; angles are in degrees, as tables show them.
 
-    A window's first estimate is the one that its method is surest of.
+    A window's first estimate is its method's most confident one.
     """
     pairs = list(zip(estimated, truth, strict=True))
     sounding = [(e, t) for e, t in pairs if len(t)]

@@ -68,9 +68,9 @@ def resolution(
 ) -> float:
     """How far an array tells azimuths apart: the mean of 1 - |a(theta)^H a(phi)|^2 / N^2.
 
-    Over all pairs of azimuths and over ``frequencies``; near 0 for an array much smaller than the
-    wavelengths, at most 1 - 1/N. The mean of a_i conj(a_j) over the circle is J0(k rho_ij), rho
-    being the microphones' horizontal distance, so that no grid is needed.
+    The mean is over all pairs of azimuths and over ``frequencies``: near 0 for an array much
+    smaller than the wavelengths, at most 1 - 1/N. The mean of a_i conj(a_j) over the circle is
+    J0(k rho_ij) with the microphones' horizontal distance rho, so no grid is needed.
 
     Parameters
     ----------

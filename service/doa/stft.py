@@ -2,8 +2,8 @@
 
 Conventions
 -----------
-Frame l covers samples [l hop, l hop + n_fft); there is no centring and no padding inside, so a
-frame never looks into the future of the samples that it names. One-sided spectra, F = n_fft/2 + 1.
+Frame l covers samples [l hop, l hop + n_fft) without centring or padding, so a frame never looks
+into the future. Spectra are one-sided, F = n_fft/2 + 1.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Stft:
             writeable=False,
         )
         windowed = (frames * hann(self.n_fft)).astype(np.float32, copy=False)
-        # scipy's takes half of numpy's time.
+        # scipy's transform takes half of numpy's time.
         spectra = scipy.fft.rfft(windowed, axis=-1, overwrite_x=True)
         transposed: ComplexArray = np.swapaxes(spectra, -1, -2)
         return transposed

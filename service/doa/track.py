@@ -1,4 +1,4 @@
-"""What a tracker takes and gives, and one track's hypothesis: where it is and if it exists.
+"""The input and output of a tracker, and the hypothesis of one track: position and existence.
 
 Conventions
 -----------
@@ -25,7 +25,7 @@ from service.doa.peaks import wrapped
 
 @dataclass(frozen=True, slots=True)
 class Detection:
-    """One direction that one window of audio seems to hold."""
+    """One direction that seems to be in a window of audio."""
 
     azimuth: float
     """Radians, any wrap"""
@@ -37,17 +37,17 @@ class Track(NamedTuple):
     """One talker, followed over time."""
 
     id: int
-    """From 1; never given twice"""
+    """Number from 1; never given twice"""
     azimuth: float
     """Radians in [0, 2 pi)"""
     velocity: float
     """Radians per second, counter-clockwise"""
     variance: float
-    """Of the azimuth, radians squared"""
+    """Variance of the azimuth, radians squared"""
     confidence: float
     """0 to 1: the chance that a source is within 10 degrees of there"""
     active: bool
-    """Heard just now; False while the track coasts through a pause"""
+    """True while the talker is heard, False while the track coasts through a pause"""
     born: float
     """Stream time in seconds of its first detection"""
     last_heard: float
@@ -56,54 +56,53 @@ class Track(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class TrackerParameters:
-    """The constants of tracking; none depends on how often results come."""
+    """The constants of tracking; none depends on the rate of results."""
 
     error: float = math.radians(3.0)
-    """Radians, standard deviation of a sure detection's azimuth in a living room"""
+    """Radians, standard deviation of a confident detection's azimuth in a living room"""
     correlation_s: float = 0.25
-    """Seconds of new audio that make a detection's error a new one: half a window of 0.5 s"""
+    """Seconds of audio after which a detection's error is independent: half a window of 0.5 s"""
     spread: float = math.radians(25.0)
     """Radians per second, standard deviation of talkers' velocities: a walk past at 2 m"""
     damping_s: float = 4.0
-    """Seconds in which a talker forgets its velocity: people stop and turn"""
+    """Time constant of the velocity in seconds: people stop and turn"""
     coasting_damping_s: float = 1.0
-    """Seconds, the same in a pause: nothing says that the walk goes on"""
+    """Time constant of the velocity in a pause, seconds: the walk may not go on"""
     fastest: float = math.radians(120.0)
-    """Radians per second: 1 m/s at half a metre"""
+    """Bound on the velocity in radians per second: 1 m/s at half a metre"""
     lag_s: float = 0.3
     """Seconds by which tracks of a moving talker are late: half a window and the filter's delay"""
     lag_spread_s: float = 0.2
-    """Seconds, standard deviation of that: loud syllables hold a detection back while they last"""
+    """Seconds, standard deviation of the lag: loud syllables hold a detection back"""
     gate: float = 12.0
-    """Squared Mahalanobis distance up to which a detection may belong to a track: 3.5 sigma"""
+    """Largest squared Mahalanobis distance of a detection from its track: 3.5 sigma"""
     alone: float = 16.0
-    """What it costs a track to go without a detection, in the same measure: more than the gate by
-    the log-variance of a track that has coasted long"""
+    """Cost of leaving a track without a detection, as a squared distance: more than the gate by the
+    log-variance of a track that has coasted long"""
     widest: float = math.radians(30.0)
-    """Radians, bound on the same: further away it is somebody else, whatever the variance"""
+    """Radians, bound on the gate: further away it is somebody else, whatever the variance"""
     separation: float = math.radians(15.0)
-    """Radians: what is closer may be one talker; the localizer tells hardly any closer apart"""
+    """Radians within which two may be one talker; the localizer hardly tells closer ones apart"""
     crowding: float = 16.0
-    """How much larger the error variance is while two tracks pass each other"""
+    """Factor on the error variance while two tracks pass each other"""
     miss_rate: float = 3.0
-    """Nats per second that silence takes: a sure track lives on for 2.3 s, a new one for 1.5 s"""
+    """Nats per second lost in silence: a certain track survives for 2.3 s, a new one for 1.5 s"""
     shadow_rate: float = 1.0
-    """Nats per second, the same while two tracks pass each other: one may hide the other"""
+    """Nats per second lost while two tracks pass each other: one may hide the other"""
     passing: float = math.radians(10.0)
-    """Radians per second between two near tracks that pass each other; of slower ones nothing says
-    that they will part"""
+    """Radians per second between two near tracks that pass each other; slower ones may not part"""
     most_evidence: float = 4.6
     """Nats, bound on the existence, 99 %: an hour of speech must not outlive minutes of silence"""
     confirmation: float = 2.2
-    """Nats, 90 %, from which a track is reported: less, and a fan across a room becomes one"""
+    """Nats, 90 %, at which a track is reported: with less, a fan across a room becomes a track"""
     death: float = -2.2
     """Nats, 10 %, at which a track ends"""
     hold_s: float = 0.35
-    """Seconds after its last detection that a track still counts as active: between syllables"""
+    """Seconds after its last detection for which a track counts as active, between syllables"""
     merge_s: float = 0.6
-    """Seconds for which one of two near tracks is not heard before it goes into the other"""
+    """Seconds without detection after which one of two near tracks is merged into the other"""
     most_tracks: int = 8
-    """Tracks at once, tentative ones included: bounds the cost"""
+    """Most tracks at once, tentative ones included, to bound the cost"""
 
 
 @dataclass(slots=True, eq=False)
@@ -113,20 +112,20 @@ class Hypothesis:
     parameters: TrackerParameters
     filter: AzimuthFilter
     evidence: float
-    """Nats"""
+    """Log-odds of existence in nats"""
     born: float
     last_heard: float
     last_active: float
-    """When it was last heard, or hidden by a neighbour while it was active"""
+    """Stream time in seconds at which the talker was last heard, or hidden while active"""
     id: int | None = None
-    """None until it is confirmed"""
+    """Id of the track; None until it is confirmed"""
 
     @classmethod
     def of(cls, parameters: TrackerParameters, detection: Detection, time: float) -> Hypothesis:
         """A track that begins with a detection, ``time`` seconds into the stream."""
         azimuth = wrapped(detection.azimuth)
         state = AzimuthFilter(azimuth, 0.0, 0.0, 0.0, parameters.spread**2)
-        # At a stream's begin a detection rests on less audio, and noise's own onset is in it.
+        # At the beginning of a stream a detection rests on less audio and the onset of noise.
         news = min(1.0, max(time, 0.0) / parameters.correlation_s)
         evidence = min(news * log_odds(detection.confidence), parameters.most_evidence)
         new = cls(parameters, state, evidence, time, time, time)
@@ -134,28 +133,28 @@ class Hypothesis:
         return new
 
     def predict(self, duration: float, time: float) -> None:
-        """Move on by a duration up to a stream time, both in seconds."""
+        """Predict over a duration up to a stream time, both in seconds."""
         p = self.parameters
         coasting = not self.active(time - duration)
         self.filter.predict(duration, p.coasting_damping_s if coasting else p.damping_s, p.spread)
 
     def error(self, confidence: float) -> float:
-        """Radians squared, the error variance of a detection of this track.
+        """Error variance of a detection of this track, radians squared.
 
-        Unsure detections are further off, up to ten degrees, and late ones by the way that the
-        talker has gone since.
+        Detections of low confidence are further off, up to ten degrees, and late ones by the way
+        that the talker has gone since.
         """
         p = self.parameters
         late = p.lag_spread_s * self.filter.velocity
         return (p.error / max(confidence, 0.3)) ** 2 + late * late
 
     def hear(self, detection: Detection, duration: float, time: float, *, passing: bool) -> None:
-        """Take in a detection, that may be a neighbour's if the two are ``passing``."""
+        """Take in a detection, which may be a neighbour's if the two are ``passing``."""
         p = self.parameters
         news = min(1.0, max(duration, 1e-3) / p.correlation_s)
         variance = self.error(detection.confidence) / news
-        # Two talkers that cross are heard as one between them, or as each other: until they are
-        # apart again their velocities know better than detections.
+        # Two talkers that cross are heard as one between them, or as each other. Until they are
+        # apart again their velocities are better evidence than detections.
         variance *= p.crowding if passing else 1
         self.filter.correct(detection.azimuth, variance, p.fastest)
         evidence = self.evidence + news * log_odds(detection.confidence)
@@ -163,28 +162,28 @@ class Hypothesis:
         self.last_heard = self.last_active = time
 
     def miss(self, duration: float, time: float, *, passing: bool) -> None:
-        """Take in that nothing was detected for a duration, perhaps for a neighbour's sake."""
+        """Take in a duration without a detection, which a neighbour may have hidden."""
         if passing and self.active(time - duration):
             self.last_active = time
         rate = self.parameters.shadow_rate if passing else self.parameters.miss_rate
         self.evidence -= rate * duration
 
     def succeed(self, other: Hypothesis) -> None:
-        """Go on as another track of the same talker, under one's own id."""
+        """Take over the state of another track of the same talker, under this id."""
         self.filter, self.last_heard = other.filter, other.last_heard
         self.last_active = max(self.last_active, other.last_active)
         self.evidence = max(self.evidence, other.evidence)
 
     def active(self, time: float) -> bool:
-        """Heard just now, or hidden by a neighbour that was."""
+        """Whether the talker is heard, or hidden by a neighbour who is."""
         return time - self.last_active <= self.parameters.hold_s
 
     def track(self, time: float) -> Track:
-        """What is reported of a confirmed track."""
+        """The report of a confirmed track."""
         state = self.filter
         if self.id is None:
             raise ValueError("a track without id is not confirmed")
-        # Shrunk by how sure the velocity is: of a still talker nothing but noise would be added.
+        # An uncertain velocity counts less: for a standing talker it would only add noise.
         power = state.velocity * state.velocity
         ahead = self.parameters.lag_s * state.velocity * power / (power + state.velocity_variance)
         return Track(
@@ -200,6 +199,6 @@ class Hypothesis:
 
 
 def log_odds(probability: float) -> float:
-    """Nats; certainty is bounded at one in a thousand, which no localizer is sure of."""
+    """Log-odds in nats; certainty is bounded at one in a thousand, which no localizer reaches."""
     bounded = min(max(probability, 1e-3), 1 - 1e-3)
     return math.log(bounded / (1 - bounded))

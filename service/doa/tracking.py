@@ -1,14 +1,14 @@
-"""Multi-source tracking on the circle: detections of successive windows to talkers with ids.
+"""Multi-source tracking on the circle: from detections of successive windows to talkers with ids.
 
-Task: an unknown number of talkers start, pause, move, cross and stop; the localizer reports some
+Task: an unknown number of talkers start, pause, move, cross and stop. The localizer reports
 directions for every window of audio, misses some and invents some.
 
 Conventions
 -----------
 Azimuths in radians, time in seconds of the stream. Every update predicts all tracks, assigns
 detections to them by the least total distance, lets unassigned detections begin new ones and ends
-those that nothing speaks for any more. A track is reported from the update in which its existence
-is confirmed: a sure detection confirms at once, unsure ones when they repeat.
+those without evidence. A track is reported from the update in which its existence is confirmed: a
+confident detection confirms it at once, others when they repeat.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ __all__ = ["Detection", "Track", "Tracker", "TrackerParameters"]
 
 
 class Tracker:
-    """Follows talkers through one stream; some 0.03 ms an update."""
+    """Follows talkers through one stream; an update takes some 0.03 ms."""
 
     def __init__(self, parameters: TrackerParameters | None = None) -> None:
-        # Imported here: half of the service's start, but not of the first update's time.
+        # The import is here: it would double the service's start, and must not delay an update.
         from scipy.optimize import linear_sum_assignment
 
         self._solve = linear_sum_assignment
@@ -38,7 +38,7 @@ class Tracker:
         self._hypotheses: list[Hypothesis] = []
 
     def reset(self) -> None:
-        """Forget all tracks and the time; ids go on, so that none is ever given twice."""
+        """Forget all tracks and the time; ids continue, so that none is given twice."""
         self._hypotheses = []
         self._time = None
 
@@ -48,14 +48,14 @@ class Tracker:
         Parameters
         ----------
         detections : sequence of Detection
-            In any order; none where nothing sounds.
+            Detections in any order; none where nothing sounds.
         time : float
             Seconds since the stream began; after a gap the tracks are predicted further.
 
         Returns
         -------
         tracks : tuple of Track
-            The confirmed ones, oldest id first.
+            Confirmed tracks, oldest id first.
 
         Raises
         ------
@@ -79,7 +79,7 @@ class Tracker:
         return self._confirmed(time)
 
     def _advance(self, time: float) -> float:
-        """Predict all tracks up to a time; the seconds since the last one."""
+        """Predict all tracks up to a time; return the seconds since the last one."""
         if not math.isfinite(time):
             raise ValueError(f"the stream's time must be finite seconds, not {time!r}")
         duration = 0.0 if self._time is None else time - self._time
@@ -94,7 +94,7 @@ class Tracker:
         return duration
 
     def _assign(self, detections: Sequence[Detection]) -> dict[int, int]:
-        """Detection of every track that has one, by their places in the lists."""
+        """The detection of every track that has one, both as list indices."""
         if not (self._hypotheses and detections):
             return {}
         p = self._parameters
@@ -104,14 +104,14 @@ class Tracker:
         return {row: column for row, column in pairs if costs[row][column] < p.alone}
 
     def _cost(self, hypothesis: Hypothesis, detection: Detection) -> float:
-        """Twice the negative log-likelihood but for a constant, or what it costs to be alone."""
+        """Twice the negative log-likelihood up to a constant, or the cost of being alone."""
         p = self._parameters
         off = abs(circular_difference(detection.azimuth, hypothesis.filter.azimuth))
         if off > p.widest:
             return p.alone
         variance = hypothesis.error(detection.confidence)
         distance = hypothesis.filter.distance(detection.azimuth, variance)
-        # Whatever is close can begin no track of its own, however sure this one is of its place.
+        # A close detection must not begin a track of its own, however certain this position is.
         if distance > p.gate and off > p.separation:
             return p.alone
         width = math.log(1 + hypothesis.filter.azimuth_variance / variance)
@@ -124,7 +124,7 @@ class Tracker:
         return abs(off) < self._parameters.separation
 
     def _in_wake(self, one: Hypothesis, other: Hypothesis) -> bool:
-        """Whether two may be one talker, heard where it is and where it was some syllables ago."""
+        """Whether two may be one talker, heard here and where it was some syllables ago."""
         p = self._parameters
         off = circular_difference(one.filter.azimuth, other.filter.azimuth)
         fastest = max(abs(one.filter.velocity), abs(other.filter.velocity))
@@ -135,7 +135,7 @@ class Tracker:
         return abs(one.filter.velocity - other.filter.velocity) > self._parameters.passing
 
     def _passing(self, hypothesis: Hypothesis) -> bool:
-        """Whether a track passes another one just now, so that they may be heard as one."""
+        """Whether a track is passing another one, so that they may be heard as one."""
         return any(
             other is not hypothesis
             and other.id is not None
@@ -145,7 +145,7 @@ class Tracker:
         )
 
     def _merge(self, time: float) -> None:
-        """Make one of two near tracks of which one is not heard; the older id stays."""
+        """Merge two near tracks of which one is not heard; the older id stays."""
         p = self._parameters
         confirmed = [h for h in self._hypotheses if h.id is not None]
         confirmed.sort(key=lambda h: h.id or 0)
@@ -164,7 +164,7 @@ class Tracker:
         self._hypotheses = [h for h in self._hypotheses if h.evidence > self._parameters.death]
 
     def _begin(self, detections: Sequence[Detection], time: float) -> None:
-        """New tracks of the detections that belong to none, the surest first."""
+        """Begin tracks from unassigned detections, most confident first."""
         p = self._parameters
         for detection in detections:
             new = Hypothesis.of(p, detection, time)
@@ -187,7 +187,7 @@ class Tracker:
 
 
 def _ordered(detections: Sequence[Detection]) -> list[Detection]:
-    """The surest first, whatever order they come in."""
+    """Detections, most confident first, whatever their order."""
     for detection in detections:
         if not (math.isfinite(detection.azimuth) and 0 <= detection.confidence <= 1):
             raise ValueError(f"a detection needs finite radians and a confidence, not {detection}")

@@ -1,4 +1,4 @@
-"""Names for the numpy array types that the numerics take and give."""
+"""Names for the numpy array types of the numerics."""
 
 from __future__ import annotations
 

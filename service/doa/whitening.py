@@ -1,4 +1,4 @@
-"""A robot's own noise as a covariance per frequency, and the whitening that takes it away.
+"""A robot's own noise as a covariance per frequency, and the whitening that removes it.
 
 Conventions
 -----------
@@ -9,9 +9,9 @@ HARK's GEVD-MUSIC does (Nakamura et al., 2009): lambda is the same and e = W u.
 Scale
 -----
 The generalised problem leaves W's scale per frequency free. Here the direction in which Q(f) is
-weakest keeps a gain of 1 and every other is attenuated: W is the identity for spatially white
-noise however coloured it is, and what comes from elsewhere keeps its spectrum. The features of the
-`weights` networks tell levels against the window's mean, and know no spectra divided by a noise's.
+weakest keeps a gain of 1 and every other is attenuated. W is the identity for spatially white noise
+of any colour, and sound from elsewhere keeps its spectrum: the `weights` networks take levels
+relative to the window's mean, and have not learnt spectra divided by a noise's.
 """
 
 from __future__ import annotations
@@ -22,35 +22,35 @@ from typing import Self
 
 import numpy as np
 
+from neuralmusic.errors import NoiseCalibrationFailed, NoiseMismatch
 from service.doa.array import MicrophoneArray
 from service.doa.silence import SILENCE
 from service.doa.stft import Stft
 from service.doa.types import ComplexArray, FloatArray
-from service.errors import NoiseCalibrationFailed, NoiseMismatch
 
 LOADING = 1e-4
-"""Of Q's mean eigenvalue: a fan that all microphones hear alike is taken down by 10 log10(N / 1e-4)
-dB, 46 for four microphones, and no further. Motors 30 dB above the microphones' own noise still
-stood out of it with 26 and 36 dB; talkers are found as well with any of the three."""
+"""Diagonal loading against Q's mean eigenvalue. It attenuates a fan that all microphones hear alike
+by at most 10 log10(N / 1e-4) dB, 46 for four microphones. With 26 or 36 dB, motors 30 dB above the
+microphones' own noise still stand out; talkers are found equally well with all three."""
 MIN_SECONDS = 1.0
 FRAMES_PER_MICROPHONE = 8
-"""Least frames of N x N unknowns; eigenvalues of white noise then spread by a factor of 4"""
+"""Least frames per microphone; the eigenvalues of white noise then spread by a factor of 4"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseCovariance:
-    """What an array hears while nothing sounds but the robot itself."""
+    """The noise that an array hears from the robot alone."""
 
     covariance: ComplexArray
-    """(F, N, N) complex64, Hermitian, of all bins of the STFT"""
+    """(F, N, N) complex64, Hermitian, for all bins of the STFT"""
     array: MicrophoneArray
     stft: Stft
     seconds: float
-    """Audio that it was learnt from"""
+    """Seconds of audio that it was learnt from"""
 
 
 class NoiseEstimator:
-    """Averages the covariance of noise, spectra after spectra."""
+    """Averages the covariance of noise over spectra added step by step."""
 
     def __init__(self, array: MicrophoneArray, stft: Stft) -> None:
         microphones = array.num_microphones
@@ -60,28 +60,28 @@ class NoiseEstimator:
         self._frames = 0
 
     def add(self, spectra: ComplexArray) -> None:
-        """Take the spectra (N, F, L) of all bins of further frames."""
+        """Add further frames, as spectra (N, F, L) of all bins."""
         by_bin = np.swapaxes(spectra, 0, 1)  # (F, N, L)
         self._sum += by_bin @ np.conj(np.swapaxes(by_bin, -1, -2))
         self._frames += spectra.shape[-1]
 
     @property
     def seconds(self) -> float:
-        """Audio taken so far."""
+        """Seconds of audio added so far."""
         return self._frames * self._stft.hop / self._stft.sample_rate
 
     def finish(self) -> NoiseCovariance:
-        """The covariance of everything that was added.
+        """The covariance of all added audio.
 
         Raises
         ------
         NoiseCalibrationFailed
-            If that is too little audio, or silence in all or one of the channels.
+            If there is too little audio, or silence in one or all of the channels.
         """
         microphones = self._array.num_microphones
         frames = FRAMES_PER_MICROPHONE * microphones
         needed = max(MIN_SECONDS, frames * self._stft.hop / self._stft.sample_rate)
-        # A frame's worth is lost at the beginning.
+        # The STFT loses up to a frame at the beginning.
         if self._frames == 0 or self.seconds + self._stft.n_fft / self._stft.sample_rate < needed:
             raise NoiseCalibrationFailed(
                 f"{self.seconds:.1f} s of noise are too few to learn it: record at least "
@@ -112,7 +112,7 @@ def learn_noise(
     Raises
     ------
     NoiseCalibrationFailed
-        If that is too little audio, or silence in all or one of the channels.
+        If there is too little audio, or silence in one or all of the channels.
     """
     estimator = NoiseEstimator(array, stft)
     for block in blocks:
@@ -134,11 +134,11 @@ class Whitening:
 
     @classmethod
     def of(cls, noise: NoiseCovariance, *, loading: float = LOADING) -> Self:
-        """W(f) = sqrt(q) Q(f)^(-1/2) of the loaded Q, q being its least eigenvalue."""
+        """W(f) = sqrt(q) Q(f)^(-1/2) of the loaded Q with its least eigenvalue q."""
         covariance = noise.covariance.astype(np.complex128)
         microphones = covariance.shape[-1]
         mean = np.einsum("fnn->f", covariance).real / microphones
-        # Bins without any noise, as above the edge of a low-pass filter, are left alone.
+        # Bins without any noise, such as above the edge of a low-pass filter, stay as they are.
         loaded = np.maximum(loading * mean, np.finfo(np.float32).tiny)
         values, vectors = np.linalg.eigh(covariance)
         # Rounding leaves small negative ones, relative to the largest bin's.
@@ -149,18 +149,18 @@ class Whitening:
 
     @classmethod
     def fitting(cls, noise: NoiseCovariance, array: MicrophoneArray, stft: Stft) -> Self:
-        """The same for audio of ``array`` in the spectra of ``stft``.
+        """Whitening for audio of ``array`` in spectra of ``stft``.
 
         Raises
         ------
         NoiseMismatch
-            If the noise was learnt with another array or in other spectra.
+            If the noise was learnt with another array or other frames.
         """
         if not noise.array.matches(array):
             raise NoiseMismatch(
                 f"the noise profile was learnt with the {noise.array.num_microphones} microphones "
                 f"of {noise.array.name}, not with {array.name}: learn the noise with the array "
-                "that is localized with"
+                "that you localize with"
             )
         if noise.stft != stft:
             raise NoiseMismatch(
@@ -170,7 +170,7 @@ class Whitening:
         return cls.of(noise)
 
     def band(self, bins: slice) -> Whitening:
-        """The whitening of some of the bins."""
+        """The whitening for some of the bins."""
         return Whitening(self.matrices[bins])
 
     def apply(self, spectra: ComplexArray) -> ComplexArray:
@@ -183,8 +183,8 @@ class Whitening:
         """W a of steering vectors (F, N, A), scaled to ||a||^2 = N again.
 
         The scale keeps the denominator of MUSIC, a^H a - ||U^H a||^2, comparable between azimuths.
-        Weighing azimuths by what W leaves of them only loses talkers: with the square root of that
-        gain 79 % of the talkers beside a motor were found within 10 degrees instead of 100 %.
+        Weighing azimuths by their gain under W loses talkers: with its square root, 79 % of the
+        talkers beside a motor are found within 10 degrees instead of 100 %.
         """
         whitened = self.matrices @ steering
         norm = np.linalg.norm(whitened, axis=-2, keepdims=True)

@@ -11,10 +11,10 @@ import numpy as np
 from pydantic import ValidationError
 from pydantic_core import from_json
 
+from neuralmusic.errors import BundleCorrupt, BundleIncompatible, BundleNotFound
 from service.doa.array import MicrophoneArray
 from service.doa.stft import Stft
 from service.doa.types import FloatArray
-from service.errors import BundleCorrupt, BundleIncompatible, BundleNotFound
 from service.inference.engine import Engine
 from service.inference.manifest import SCHEMA_VERSION, Graph, Manifest
 from service.inference.npz import read_npz
@@ -27,28 +27,28 @@ FUSION = "fusion.npz"
 GOLDEN = "golden.npz"
 FILES = (COVARIANCE, SOURCE_COUNT, FUSION, GOLDEN)
 COVARIANCE_STREAM = "covariance_stream.onnx"
-"""The covariance network over a stream, frame after frame with its state; `weights` bundles"""
+"""Covariance network of `weights` bundles for streams, frame after frame with its state"""
 CARD = "card.md"
 PARAMETERS = "parameters.npz"
 OPTIONAL_FILES = (COVARIANCE_STREAM, CARD, PARAMETERS)
-"""Nothing that recordings need; verified where the manifest names them"""
+"""Files that recordings do not need; verified where the manifest names them"""
 MAX_FILE_BYTES = 256 * 2**20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleFiles:
-    """A bundle's verified files in memory; it can be pickled, so a worker runs the very same.
+    """A bundle's verified files in memory; they can be pickled, so workers run the very same.
 
-    What was hashed is what runs: a folder that changes meanwhile changes nothing.
+    The hashed bytes are the ones that run: a later change of the folder has no effect.
     """
 
     folder: Path
-    """Where they were read"""
+    """Folder that was read"""
     manifest: Manifest
     sha256: str
-    """Of bundle.json, which holds the hashes of all other files"""
+    """Hash of bundle.json, which holds the hashes of all other files"""
     content: Mapping[str, bytes]
-    """By file name; without the parameters for fine-tuning, which the service never uses"""
+    """Content by file name, without the parameters for fine-tuning, which the service never uses"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +87,7 @@ class Bundle:
         return Stft(section.sample_rate, section.n_fft, section.hop)
 
     def bound_array(self) -> MicrophoneArray | None:
-        """The array that the bundle is bound to, or None where it works on any."""
+        """The array that the bundle is bound to, or None where it works with any."""
         bound = self.manifest.array
         if bound == "any":
             return None
@@ -136,7 +136,7 @@ def open_bundle(files: BundleFiles, *, threads: int = 1) -> Bundle:
     Raises
     ------
     BundleCorrupt
-        If a graph or an array cannot be read, or is not what the manifest says.
+        If a graph or an array cannot be read, or differs from the manifest.
     """
     manifest = files.manifest
     stream = manifest.covariance_stream
@@ -184,7 +184,7 @@ def file_sha256(path: Path) -> str:
 
 
 def _verified(folder: Path, name: str, expected: str | None) -> bytes:
-    """The content of a file that has the hash."""
+    """The content of a file, checked against its hash."""
     path = folder / name
     if expected is None or not path.is_file():
         raise BundleCorrupt(f"{folder} lacks {name}: copy the whole bundle again")
@@ -222,7 +222,7 @@ def _arrays(files: BundleFiles, name: str) -> dict[str, FloatArray]:
 
 
 def read_arrays(content: bytes, path: Path) -> dict[str, FloatArray]:
-    """The arrays of one of a bundle's npz files by their names, or BundleCorrupt; no pickle."""
+    """The arrays of a bundle's npz file by name, without pickle; raises BundleCorrupt."""
     try:
         return read_npz(content, most_bytes=MAX_FILE_BYTES, compressed=True)
     except ValueError as error:

@@ -1,7 +1,7 @@
 """Candidate sources by detect-and-remove on block spectra.
 
-Sources rarely dominate the same time-frequency cell. So the highest peak of the fused spectrum is
-taken, the cells that point to it are dropped, and the rest is fused again.
+Two sources rarely dominate the same time-frequency cell. So the search takes the highest peak of
+the fused spectrum, drops the cells that point to it, and fuses the rest again.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from service.inference.descriptors import NUM_DESCRIPTORS, Field, FoundCandidate
 
 NUM_CANDIDATES = 4
 REMOVAL_LEVEL = 0.7
-"""Cells whose spectrum at a found peak exceeds this belong to that source"""
+"""Spectrum of a cell at a found peak above which the cell belongs to that source"""
 ELSEWHERE_LEVEL = 0.45
-"""Cells whose spectrum at another source exceeds this tell nothing of this one's direction"""
+"""Spectrum of a cell at another source above which it tells nothing about this direction"""
 REFINEMENT_REACH = np.deg2rad(10.0)
-"""How far a direction may move once the other sources are known: candidates are as far apart"""
+"""Most that refinement moves a direction, radians: the distance between candidates"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,18 +31,18 @@ class Candidates:
     """Up to four candidate directions of one window, in the order in which they were found."""
 
     azimuth: FloatArray
-    """(4,) radians, as found; NaN where no further peak was. In the half of the circle that the
-    array tells from the other"""
+    """(4,) radians as found, NaN where there was no further peak; for a linear array in the half
+    circle that it tells from the other"""
     descriptors: FloatArray
     """(4, D) float32, the source-count network's input"""
     fused: FloatArray
     """(A,) the fused spectrum before any removal"""
     field: Field
     findings: Sequence[FoundCandidate]
-    """Of the candidates that were found"""
+    """States in which the candidates were found"""
 
     def directions(self, chosen: Sequence[int]) -> list[float]:
-        """Azimuths in radians of the candidates that are the sources, found again together."""
+        """Azimuths in radians of the chosen candidates, refined together."""
         if not chosen:
             return []
         refined = refine(self.field, [self.findings[index] for index in chosen])
@@ -66,7 +66,7 @@ def find_candidates(field: Field) -> Candidates:
 
 
 def find_findings(field: Field) -> list[FoundCandidate]:
-    """The candidates one after the other, each with the state in which it was found."""
+    """The candidates in order, each with the state in which it was found."""
     findings: list[FoundCandidate] = []
     remaining = field.attention
     if not field.total > 0:
@@ -87,10 +87,9 @@ def find_findings(field: Field) -> list[FoundCandidate]:
 def refine(field: Field, sources: Sequence[FoundCandidate]) -> FloatArray:
     """(n,) azimuths in radians of the sources, each at the maximum next to where it was found.
 
-    It is looked for among the cells that point to no other source, which draw the first one's peak
-    towards themselves. They count the square root of their attention: the attention picks what
-    tells a source from none, and averages over too few cells to say best where a source is
-    (docs/training.md, "Where a source is").
+    Cells that point to another source would draw the peak towards it and are left out. The others
+    count the square root of their attention: attention picks the cells that tell a source from
+    none, which are too few for the best direction (docs/training.md, "Where a source is").
     """
     attention = np.sqrt(field.attention)
     pointing = np.array([source.pointing for source in sources])  # (n, C)
@@ -110,7 +109,7 @@ def refine(field: Field, sources: Sequence[FoundCandidate]) -> FloatArray:
 
 
 def _uphill(values: Sequence[float]) -> int | None:
-    """The local maximum that lies uphill of the middle; None where the ascent meets an end."""
+    """Index of the local maximum uphill from the middle; None where the ascent meets an end."""
     place = len(values) // 2
     while 0 < place < len(values) - 1:
         highest = max((place, place - 1, place + 1), key=values.__getitem__)

@@ -1,17 +1,17 @@
-"""What a recording or a stream is localized with: the method, the model."""
+"""The choice of method and model for a recording or a stream."""
 
 from __future__ import annotations
 
+from neuralmusic.errors import GeometryMismatch, TooManySources
+from neuralmusic.protocol.methods import Method
 from service.doa.array import MicrophoneArray
-from service.errors import GeometryMismatch, TooManySources
 from service.inference.bundle import Bundle
 from service.inference.registry import BundleRegistry
 from service.inference.results import AudioWarning
-from service.protocol.methods import Method
 
 
 def check_num_sources(num_sources: int | None, microphones: int) -> None:
-    """Raise TooManySources where so many microphones cannot tell that many sources apart."""
+    """Raise TooManySources where the microphones cannot tell that many sources apart."""
     if num_sources is not None and num_sources >= microphones:
         raise TooManySources(
             f"num_sources is {num_sources}, but {microphones} microphones can tell apart "
@@ -22,14 +22,14 @@ def check_num_sources(num_sources: int | None, microphones: int) -> None:
 def choose_method(
     method: Method | None, model: str | None, array: MicrophoneArray, registry: BundleRegistry
 ) -> tuple[Method, Bundle | None]:
-    """The method that will run and, for `neural`, its bundle.
+    """The method to run and, for `neural`, its bundle.
 
     Raises
     ------
     UnknownModel
-        If no bundle has the model's name; with a classical method, too.
+        If no bundle has the model's name, even with a classical method.
     GeometryMismatch
-        If the model is bound to another array, or none fits and `neural` was asked for.
+        If the model is bound to another array, or `neural` was requested and no model fits.
     """
     if model is not None:
         registry.get(model)
@@ -49,7 +49,7 @@ def choose_method(
 def method_warnings(
     asked: Method | None, method: Method, array: MicrophoneArray
 ) -> list[AudioWarning]:
-    """What the choice of the method and the array's shape mean for the directions."""
+    """Warnings about what the chosen method and the array's shape mean for the directions."""
     found = []
     if asked is None and method != "neural":
         detail = f"no loaded model fits the array {array.name}: {method} was used instead"

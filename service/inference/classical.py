@@ -9,6 +9,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from neuralmusic.protocol.methods import Method
 from service.doa import classical
 from service.doa.array import MicrophoneArray
 from service.doa.covariance import sample_covariance
@@ -20,16 +21,15 @@ from service.doa.stft import Stft
 from service.doa.types import ComplexArray, FloatArray
 from service.doa.whitening import NoiseCovariance, Whitening
 from service.inference.results import Source, WindowEstimate
-from service.protocol.methods import Method
 
 BAND = (300.0, 3500.0)
-"""Hertz: below it small arrays see no delay, above it speech is weak and delays are ambiguous"""
+"""Hertz: below, small arrays see no delay; above, speech is weak and delays are ambiguous"""
 RELATIVE_HEIGHT = 0.6
-"""Of the highest peak above the spectrum's mean: lower ones are no sources of their own"""
+"""Least height of a source's peak above the mean, against the highest peak's"""
 LEAST_CONTRAST = {"norm_music": 0.32, "music": 0.32, "srp_phat": 0.24}
-"""1 - mean / peak of the spectrum: white and diffuse noise stay below, most talkers do not"""
+"""Least 1 - mean / peak of a spectrum with a direction; white and diffuse noise stay below"""
 LEAST_RESPONSE = 0.03
-"""SRP-PHAT's highest steered response, 1 for a plane wave: white noise stays below 0.02"""
+"""Least peak of SRP-PHAT's response, 1 for a plane wave; white noise stays below 0.02"""
 
 
 class Grid:
@@ -41,7 +41,7 @@ class Grid:
 
 
 class Curve(NamedTuple):
-    """1 / (1 + exp(-slope (contrast - middle))), a peak's contrast being 1 - mean / peak."""
+    """A logistic curve of a peak's contrast, which is 1 - mean / peak."""
 
     slope: float
     middle: float
@@ -52,14 +52,14 @@ class Curve(NamedTuple):
 
 
 class Chances(NamedTuple):
-    """What a method's peaks are worth."""
+    """The confidence of a method's peaks."""
 
     counted: Curve
-    """Of those that stand out"""
+    """Chance of the peaks that stand out"""
     asked: Curve
-    """Of as many as were asked for"""
+    """Chance of the peaks where their number is given"""
     undirected: float
-    """The same where the spectrum has no direction; what peaks there are is mostly noise"""
+    """Chance where the spectrum has no direction: its peaks are mostly noise"""
 
 
 CHANCES: Mapping[Method, Chances] = {
@@ -67,13 +67,14 @@ CHANCES: Mapping[Method, Chances] = {
     "music": Chances(Curve(4.7, 0.17), Curve(1.4, 0.35), 0.03),
     "srp_phat": Chances(Curve(10.7, 0.27), Curve(5.4, 0.16), 0.19),
 }
-"""Fitted to 1,800 simulated windows by ``python -m model_export classical-confidence``"""
+"""Chances by method, fitted to 1,800 simulated windows by
+``python -m model_export classical-confidence``"""
 
 _shared: WeakValueDictionary[tuple[bytes, bytes], Grid] = WeakValueDictionary()
 
 
 def shared_grid(positions: FloatArray, frequencies: FloatArray) -> Grid:
-    """The grid of an array (N, 3), the same instance as long as anybody has one: megabytes."""
+    """The grid of an array (N, 3); users share one instance, which takes megabytes."""
     key = (positions.tobytes(), frequencies.tobytes())
     grid = _shared.get(key)
     if grid is None:
@@ -96,7 +97,7 @@ class ClassicalLocalizer:
         self._method = method
         self._stft = stft or Stft()
         frequencies = self._stft.frequencies
-        # A slice, since an array of bins would copy every window's spectra.
+        # A slice: an array of bins would copy every window's spectra.
         self._band = slice(
             int(np.searchsorted(frequencies, band[0])),
             int(np.searchsorted(frequencies, band[1], side="right")),
@@ -119,7 +120,7 @@ class ClassicalLocalizer:
         ]
 
     def covariance(self, spectra: ComplexArray) -> ComplexArray:
-        """What the method needs of spectra (N, F, L): (F', N, N), a mean over frames."""
+        """The method's covariances of spectra (N, F, L): (F', N, N), a mean over frames."""
         band = spectra[:, self._band]
         if self._whitening is not None:
             band = self._whitening.apply(band)
@@ -130,12 +131,12 @@ class ClassicalLocalizer:
     def localize(
         self, covariance: ComplexArray, num_sources: int | None, max_sources: int
     ) -> WindowEstimate:
-        """Directions from what ``covariance`` gives."""
+        """Directions from the output of ``covariance``."""
         dimension = min(num_sources or 1, self._most_sources)
         return self._pick(self.spectrum(covariance, dimension), num_sources, max_sources)
 
     def spectrum(self, covariance: ComplexArray, num_sources: int) -> FloatArray:
-        """Broadband spectrum (A,) from what ``covariance`` gives."""
+        """Broadband spectrum (A,) from the output of ``covariance``."""
         if self._method == "srp_phat":
             return np.maximum(classical.srp_phat(covariance, self._grid.steering), 0)
         method = classical.music if self._method == "music" else classical.norm_music
@@ -144,7 +145,7 @@ class ClassicalLocalizer:
     def _pick(
         self, spectrum: FloatArray, num_sources: int | None, max_sources: int
     ) -> WindowEstimate:
-        """The known number of peaks, or all that stand out if the spectrum has a direction."""
+        """The given number of peaks, or all that stand out where the spectrum has a direction."""
         highest = float(spectrum.max())
         scaled = spectrum / np.float32(highest) if highest > 0 else spectrum
         peaks = find_peaks(np.where(self._searched, scaled, 0), num_sources or max_sources)

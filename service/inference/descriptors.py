@@ -1,6 +1,6 @@
-"""What the source-count network is told of a candidate direction.
+"""Descriptors of a candidate direction, the source-count network's input.
 
-Nothing in it names the array's geometry but how many microphones it has and how far it resolves.
+They depend on the array's geometry only by its number of microphones and its resolution.
 """
 
 from __future__ import annotations
@@ -17,16 +17,17 @@ from service.doa.types import BoolArray, FloatArray, IntArray
 NUM_DESCRIPTORS = 21
 SHARP_LEVEL = 0.9
 TINY = np.finfo(np.float32).tiny
-"""What nothing is divided by"""
+"""Least divisor"""
 NEIGHBOURHOOD = np.deg2rad(20.0)
-"""In which blocks may disagree on where a candidate is: two close talkers do, one does not"""
+"""Radians around a candidate in which blocks' peaks are compared: they agree for one talker, not
+for two close ones"""
 
 
 @dataclass(frozen=True)
 class Field:
-    """The C cells of one window, out of which candidates are taken; A azimuths, K blocks.
+    """The C cells of one window in which candidates are found; A azimuths, K blocks.
 
-    Cells lie bin by bin (or pair of bins), each with as many.
+    Cells are ordered by bin (or pair of bins), with the same number in each.
     """
 
     cells: FloatArray
@@ -36,22 +37,22 @@ class Field:
     dominance: FloatArray
     """(C,) float32 in (0, 1]"""
     block: IntArray
-    """(C,) block of every cell, the last of K being the whole window"""
+    """(C,) block of every cell; the last of K is the whole window"""
     num_bins: int
     num_blocks: int
     """K, the whole window included"""
     array: MicrophoneArray
     resolution: float
-    """Of the array, from ``service.doa.steering.resolution``"""
+    """Resolution of the array, from ``service.doa.steering.resolution``"""
 
     @property
     def total(self) -> float:
-        """Of the attention."""
+        """Sum of the attention."""
         return float(self.attention.sum())
 
     @property
     def of_block(self) -> FloatArray:
-        """(K, C) float32: 1 where a cell is of a block."""
+        """(K, C) float32: 1 where a cell belongs to a block."""
         same: BoolArray = self.block == np.arange(self.num_blocks)[:, None]
         return same.astype(np.float32)
 
@@ -63,9 +64,9 @@ class Field:
         return sums
 
     def around(self, index: int, reach: int) -> FloatArray:
-        """(C, 2 reach + 1) the azimuths up to ``reach`` on either side of one, on the circle.
+        """(C, 2 reach + 1) spectra up to ``reach`` azimuths around an index, on the circle.
 
-        A view where it can be.
+        The result is a view where possible.
         """
         first, last, size = index - reach, index + reach + 1, self.cells.shape[1]
         if first >= 0 and last <= size:
@@ -78,17 +79,17 @@ class FoundCandidate:
     """One candidate and the state in which it was found."""
 
     peaks: Sequence[Peak]
-    """The highest and, if there is one, the second"""
+    """The highest peak and, if there is one, the second"""
     index: int
-    """Of the highest peak on the grid"""
+    """Grid index of the highest peak"""
     fused: FloatArray
-    """(A,) of what remained before it"""
+    """(A,) fused spectrum of the cells that remained before it"""
     pointing: FloatArray
-    """(C,) the cells' spectra at the peak"""
+    """(C,) spectra of the cells at the peak"""
     support: FloatArray
     """(C,) attention of the cells that belong to it"""
     remaining: FloatArray
-    """(C,) attention before it"""
+    """(C,) attention that remained before it"""
 
     @property
     def azimuth(self) -> float:
@@ -96,9 +97,9 @@ class FoundCandidate:
 
 
 def describe(field: Field, findings: Sequence[FoundCandidate]) -> FloatArray:
-    """(n, D) float32 of all findings of a window, in the order in which they were found."""
+    """(n, D) float32 descriptors of a window's candidates, in the order of their discovery."""
     total, of_block = np.float32(field.total), field.of_block
-    # Of a list: stack takes three times as long.
+    # np.array of a list: stack takes three times as long.
     support = np.array([found.support for found in findings]) / total  # (n, C)
     pointing = np.array([found.pointing for found in findings])
     remaining = np.array([found.remaining for found in findings])
@@ -107,7 +108,7 @@ def describe(field: Field, findings: Sequence[FoundCandidate]) -> FloatArray:
     mass = in_time.sum(axis=1)
     sharp = support * (pointing > SHARP_LEVEL)
     dominant = support @ field.dominance / np.maximum(mass, 1e-9)
-    cells = field.num_blocks * field.num_bins  # those included that were never computed
+    cells = field.num_blocks * field.num_bins  # includes those that were never computed
     columns = [
         *_peak_shapes(findings),
         mass,
@@ -132,7 +133,7 @@ def describe(field: Field, findings: Sequence[FoundCandidate]) -> FloatArray:
 
 
 def _peak_shapes(findings: Sequence[FoundCandidate]) -> tuple[FloatArray, ...]:
-    """Heights, spectra's means, second peaks against the first, falls over 10 degrees."""
+    """Peak heights, spectra's means, second peaks against the first, falls over 10 degrees."""
     fused = np.array([found.fused for found in findings])
     rows, size = np.arange(len(findings)), fused.shape[1]
     index = np.array([found.index for found in findings])
@@ -144,7 +145,7 @@ def _peak_shapes(findings: Sequence[FoundCandidate]) -> tuple[FloatArray, ...]:
 
 
 def _nearest_earlier(azimuths: Sequence[float]) -> FloatArray:
-    """(n,) distance of every candidate to the nearest that was found before, in units of pi."""
+    """(n,) distance of every candidate to the nearest earlier one, in units of pi."""
     return np.array(
         [
             min((abs(circular_difference(a, b)) for b in azimuths[:rank]), default=np.pi) / np.pi
@@ -154,9 +155,9 @@ def _nearest_earlier(azimuths: Sequence[float]) -> FloatArray:
 
 
 def _likeness(in_time: FloatArray, in_bins: FloatArray) -> tuple[FloatArray, ...]:
-    """How far candidates sound when and where the first does, or a block later.
+    """Similarity of candidates to the first one in time, one block later, and in frequency.
 
-    Reflections sound with the talker or just after him, in the same bins.
+    Reflections sound with the talker or just after, in the same bins.
     """
     return (
         _cosine(in_time, in_time[0]),
@@ -168,10 +169,10 @@ def _likeness(in_time: FloatArray, in_bins: FloatArray) -> tuple[FloatArray, ...
 def _disagreement(
     field: Field, findings: Sequence[FoundCandidate], attention: FloatArray, weight: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Spread in units of 10 degrees of the blocks' own peaks near the candidates, and its drift.
+    """Spread of the blocks' own peaks near the candidates, in units of 10 degrees, and its drift.
 
-    The drift is the spread's part that goes with time: talkers that take turns. ``attention``
-    (K - 1, n, C) is what remained before each, ``weight`` (n, K - 1) what the blocks count.
+    The drift is the part of the spread that follows time: talkers that take turns. ``attention``
+    (K - 1, n, C) remained before each candidate; ``weight`` (n, K - 1) weighs the blocks.
     """
     size = findings[0].fused.size
     reach = round(NEIGHBOURHOOD / (2 * np.pi) * size)
@@ -192,7 +193,7 @@ def _disagreement(
 
 
 def _spread(weights: FloatArray) -> FloatArray:
-    """Over which share of its places a row's weight is spread: 1 where evenly, 1 / size at one."""
+    """Share of its places over which a row's weight is spread: 1 if even, 1 / size if at one."""
     squares = np.maximum(_squares(weights) * weights.shape[1], TINY)
     spread: FloatArray = np.square(weights.sum(axis=1)) / squares
     return spread

@@ -1,4 +1,4 @@
-"""Microphone arrays and their channels as clients give them: one reading for every interface."""
+"""Microphone arrays and their channels as clients give them, read alike for every interface."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from neuralmusic.errors import ChannelMismatch, InvalidGeometry, InvalidOption
+from neuralmusic.protocol.names import MAX_LABEL, is_label
 from service.doa.array import MAX_MICROPHONES, MicrophoneArray, validate_channel_map
 from service.doa.presets import preset, raw_channels
-from service.errors import ChannelMismatch, InvalidGeometry, InvalidOption
 from service.inference.results import AudioWarning
-from service.protocol.names import MAX_LABEL, is_label
 
 FORM = '{"positions_m": [[x, y, z], ...]} in metres'
 
@@ -23,7 +23,7 @@ def read_array(text: str) -> MicrophoneArray:
     Raises
     ------
     UnknownArray, InvalidGeometry, InvalidOption
-        As ``given_array`` does, and if the JSON is wrong.
+        As ``given_array``, and if the JSON is wrong.
     """
     if text[0] not in '{["':
         return preset(text)
@@ -39,7 +39,7 @@ def read_array(text: str) -> MicrophoneArray:
 
 
 def given_array(name: Any, positions: Any) -> MicrophoneArray:
-    """The preset of a name, or the array of positions under that name; None is what is not given.
+    """The preset of a name, or an array of positions with that name; None means not given.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def given_array(name: Any, positions: Any) -> MicrophoneArray:
     InvalidGeometry
         If the positions cannot be those of one array.
     InvalidOption
-        If the name is none, or neither is given.
+        If the name is invalid, or neither is given.
     """
     if name is not None and not is_label(name):
         raise InvalidOption(
@@ -61,32 +61,20 @@ def given_array(name: Any, positions: Any) -> MicrophoneArray:
     return preset(name)
 
 
-def read_channel_map(text: str) -> tuple[int, ...]:
-    """Channels as a JSON list or separated by commas; raises ValueError."""
-    sentence = "must list one whole number per microphone, as 1,2,3,4 or [1,2,3,4]"
-    try:
-        channels = json.loads(text if text.startswith("[") else f"[{text}]")
-    except (ValueError, RecursionError):
-        raise ValueError(sentence) from None
-    if not channels or not all(type(channel) is int for channel in channels):
-        raise ValueError(sentence)
-    return tuple(channels)
-
-
 def choose_channels(
     channels: int, array: MicrophoneArray | None, channel_map: Sequence[int] | None
 ) -> tuple[tuple[int, ...], list[AudioWarning]]:
     """One channel per microphone of audio with ``channels`` channels; all where no array is known.
 
-    A given map wins; as many channels as microphones are taken as they are; a layout that a
-    preset's firmware is known to deliver is assumed, with a warning.
+    A given map wins. As many channels as microphones are taken as they are. Otherwise the known
+    layout of a preset's firmware is assumed, with a warning.
 
     Raises
     ------
     InvalidChannelMap
         If the map does not name one distinct channel per microphone.
     ChannelMismatch
-        If the audio's channels do not fit, with what to do.
+        If the audio's channels do not fit.
     """
     if channel_map is not None:
         chosen = validate_channel_map(
@@ -106,7 +94,7 @@ def choose_channels(
     detail = (
         f"the audio has {channels} channels and no channel_map: the microphones were taken from "
         f"channels {', '.join(map(str, raw))}, as this device's firmware delivers them; pass "
-        f"channel_map={','.join(map(str, raw))}, or the one that is right"
+        f"channel_map={','.join(map(str, raw))}, or the correct one"
     )
     return raw, [AudioWarning("channel_map_assumed", detail)]
 
@@ -129,11 +117,11 @@ def _load(text: str) -> Any:
         return json.loads(text)
     except json.JSONDecodeError as error:
         raise InvalidOption(
-            f"array is no valid JSON ({error.msg} at character {error.pos}): send a preset's name "
+            f"array is not valid JSON ({error.msg} at character {error.pos}): send a preset's name "
             f"or {FORM}"
         ) from None
     except (ValueError, RecursionError):  # a number of thousands of digits, endless nesting
-        raise InvalidOption(f"array is no usable JSON: send {FORM}") from None
+        raise InvalidOption(f"array is not usable JSON: send {FORM}") from None
 
 
 def _positions(rows: Any) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from neuralmusic.errors import InvalidOption
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 from service.doa.whitening import NoiseCovariance
-from service.errors import InvalidOption
 from service.inference.bundle import Bundle
 from service.inference.regression import RegressionLocalizer
 from service.inference.results import WindowEstimate
@@ -28,14 +28,14 @@ class Localizer(Protocol):
 def localizer_of(
     bundle: Bundle, array: MicrophoneArray, noise: NoiseCovariance | None = None
 ) -> Localizer:
-    """The localizer of a bundle's variant for an array that the bundle fits.
+    """The localizer of a bundle for an array that the bundle fits.
 
     Raises
     ------
     InvalidOption
-        If a noise is given and the variant knows only the array's own spectra.
+        If noise is given and the bundle's variant cannot take whitened spectra.
     NoiseMismatch
-        If the noise is not of this array and the bundle's frames.
+        If the noise was learnt with another array or other frames.
     """
     if bundle.manifest.variant == "weights":
         return WeightsLocalizer(bundle, array, noise)
@@ -51,7 +51,7 @@ def localizer_of(
 def estimate_stretch(
     localizer: Localizer, stretch: Stretch, num_sources: int | None, max_sources: int
 ) -> list[WindowEstimate]:
-    """Directions of every window of a stretch, as of the windows alone."""
+    """Directions of every window of a stretch, the same as for single windows."""
     if isinstance(localizer, WeightsLocalizer):
         return localizer.estimate_stretch(stretch, num_sources, max_sources)
     return localizer.estimate(stretch.windows, num_sources, max_sources)

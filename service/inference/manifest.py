@@ -1,4 +1,4 @@
-"""bundle.json: what a model bundle says of itself."""
+"""bundle.json, the manifest of a model bundle."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from neuralmusic.protocol.client_messages import MAX_SAMPLE_RATE, MIN_SAMPLE_RATE
+from neuralmusic.protocol.names import MAX_LABEL, is_label
 from service.doa.array import MAX_MICROPHONES
-from service.protocol.client_messages import MAX_SAMPLE_RATE, MIN_SAMPLE_RATE
-from service.protocol.names import MAX_LABEL, is_label
 
 SCHEMA_VERSION: Literal[2] = 2
 Variant = Literal["weights", "regression"]
 NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]{0,63}$"
 FILE_PATTERN = r"^[A-Za-z0-9_][A-Za-z0-9._-]{0,63}$"
-"""Of a file beside the manifest: nothing that leads out of the folder"""
+"""Names of files beside the manifest; none leads out of the folder"""
 
 
 MAX_FFT = 4096
@@ -55,9 +55,9 @@ class StftSection(_Section):
     sample_rate: Annotated[int, Field(ge=MIN_SAMPLE_RATE, le=MAX_SAMPLE_RATE)]
     """Hertz"""
     n_fft: Annotated[int, Field(ge=16, le=MAX_FFT)]
-    """Samples"""
+    """Samples in a frame"""
     hop: Annotated[int, Field(ge=1, le=MAX_FFT)]
-    """Samples"""
+    """Samples between frames"""
     frames: Annotated[int, Field(ge=1, le=MAX_FFT)]
     """Frames per window that the networks were trained on"""
 
@@ -70,29 +70,31 @@ class Tensor(_Section):
 
 
 class Graph(_Section):
-    """An ONNX graph's contract; all tensors are float32."""
+    """The inputs and outputs of an ONNX graph; all tensors are float32."""
 
     inputs: list[Tensor]
     outputs: list[Tensor]
 
 
 class Manifest(_Section):
-    """Everything that a bundle says of itself."""
+    """The content of bundle.json."""
 
     schema_version: Literal[2] = SCHEMA_VERSION
     name: str = Field(pattern=NAME_PATTERN)
     version: Label
     variant: Variant
-    """`weights`: time-frequency weights come out, any array; `regression`: matrices, one array"""
+    """`weights` gives time-frequency weights, for any array; `regression` matrices, for one"""
     description: Line
     array: Literal["any"] | BoundArray
     stft: StftSection
     grid_size: Annotated[int, Field(ge=4, le=MAX_ANGLES)]
     """Azimuths of the spectra; a `weights` bundle takes twice as many for arrays above 0.3 m"""
     first_bin: Annotated[int, Field(ge=0, le=MAX_FFT)]
-    """First STFT bin that the networks see"""
+    """First STFT bin of the networks' input"""
     num_bins: Annotated[int, Field(ge=1, le=MAX_FFT)]
-    """Bins that the networks see"""
+    """Number of STFT bins of the networks' input"""
+    level_exponent: float = 0.0
+    """Exponent of the level in a `regression` bundle's features (`service/doa/spectrogram.py`)"""
     max_sources: Annotated[int, Field(ge=1, le=MAX_MICROPHONES)]
     """Largest count that the source-count network can give"""
     files: dict[Annotated[str, Field(pattern=FILE_PATTERN)], str]
@@ -100,11 +102,11 @@ class Manifest(_Section):
     covariance: Graph
     source_count: Graph
     covariance_stream: Graph | None = None
-    """Of the covariance network over a stream, where the bundle has one"""
+    """Graph of the covariance network for streams, where the bundle has one"""
     training: dict[str, Any]
     """Configuration, seed, steps and data"""
     scores: dict[str, Any]
-    """Results on held-out speakers, with the protocol that they were measured on"""
+    """Results on held-out speakers, with the protocol of the measurement"""
     parity: dict[str, Any]
     """Largest differences of the spectra between torch, onnxruntime and numpy"""
     licences: list[Line]

@@ -1,9 +1,9 @@
 """A noise profile as a file: ``NoiseCovariance`` in an npz without pickle.
 
 Members: ``format`` (the version, 1), ``name`` (the array's), ``positions`` (N, 3) float64 in
-metres, ``sample_rate`` in hertz, ``n_fft`` and ``hop`` in samples, ``seconds`` that it was learnt
-from, ``covariance`` (F, N, N) complex64. Members are stored, not compressed, and every header is
-compared with the size of its member, so that nothing is allocated that the file does not hold.
+metres, ``sample_rate`` in hertz, ``n_fft`` and ``hop`` in samples, ``seconds`` of audio that it was
+learnt from, ``covariance`` (F, N, N) complex64. Members are stored uncompressed, and every header
+is compared with the size of its member, so that no more is allocated than the file holds.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from neuralmusic.errors import InvalidGeometry, NoiseProfileInvalid
+from neuralmusic.protocol.client_messages import MAX_SAMPLE_RATE, MIN_SAMPLE_RATE
+from neuralmusic.protocol.names import MAX_LABEL, is_label
 from service.doa.array import MAX_MICROPHONES, MicrophoneArray
 from service.doa.stft import Stft
 from service.doa.whitening import NoiseCovariance
-from service.errors import InvalidGeometry, NoiseProfileInvalid
 from service.inference.manifest import MAX_FFT
 from service.inference.npz import read_npz
-from service.protocol.client_messages import MAX_SAMPLE_RATE, MIN_SAMPLE_RATE
-from service.protocol.names import MAX_LABEL, is_label
 
 FORMAT = 1
 MAX_BYTES = 8 * (MAX_FFT // 2 + 1) * MAX_MICROPHONES**2 + 2**16
-"""Of a file: the covariances of the longest frames and the most microphones, and room for the rest;
-profiles of four microphones have 34 kB"""
+"""Most bytes of a file: covariances of the longest frames and the most microphones, and room for
+the rest; profiles of four microphones have 34 kB"""
 MAX_SECONDS = 1e6
-"""That a profile may say it was learnt from; a week has fewer"""
+"""Most seconds that a profile may claim; a week has fewer"""
 HERMITIAN = 1e-4
-"""Of the largest value: more asymmetry than float32 leaves"""
+"""Largest asymmetry against the largest value; float32 leaves less"""
 MEMBERS = {
     "format": (np.dtype(np.int64), 0),
     "name": (np.dtype(f"<U{MAX_LABEL}"), 0),
@@ -43,7 +43,7 @@ MEMBERS = {
     "covariance": (np.dtype(np.complex64), 3),
 }
 """Type and number of axes of every member"""
-WHAT = "is no noise profile of this version: write one with neuralmusic noise"
+WHAT = "is not a noise profile of this version: write one with neuralmusic noise"
 
 
 def save_noise(noise: NoiseCovariance, file: Path | BinaryIO) -> None:
@@ -71,7 +71,7 @@ def load_noise(file: Path | BinaryIO) -> NoiseCovariance:
     Raises
     ------
     NoiseProfileInvalid
-        If the file is too large, no profile, of another version, or holds impossible values.
+        If the file is too large, not a profile of this version, or holds impossible values.
     OSError
         If a path cannot be read.
     """
@@ -119,12 +119,12 @@ def _profile(fields: Mapping[str, Any]) -> NoiseCovariance:
         )
     seconds = float(fields["seconds"])
     if not (stft.hop / stft.sample_rate <= seconds <= MAX_SECONDS and _is_covariance(covariance)):
-        raise NoiseProfileInvalid("the profile's values are no covariances: learn the noise again")
+        raise NoiseProfileInvalid("the profile holds no valid covariances: learn the noise again")
     return NoiseCovariance(covariance, array, stft, seconds)
 
 
 def _is_covariance(matrices: Any) -> bool:
-    """Finite, Hermitian and, on the diagonal, not negative; up to rounding."""
+    """Whether matrices are finite, Hermitian up to rounding and not negative on the diagonal."""
     if not np.isfinite(matrices).all():
         return False
     matrices = matrices.astype(np.complex128)  # the largest float32's square is none

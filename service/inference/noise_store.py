@@ -1,4 +1,4 @@
-"""Noise profiles by the names that clients gave them, in memory and, where wanted, in a folder."""
+"""Noise profiles by the names that clients gave them, in memory and optionally in a folder."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from neuralmusic.errors import ConfigError, InvalidOption, NoiseError, NoiseStoreFull, UnknownNoise
+from neuralmusic.protocol.names import NAME_RULE, is_name
 from service.doa.whitening import NoiseCovariance
-from service.errors import ConfigError, InvalidOption, NoiseError, NoiseStoreFull, UnknownNoise
 from service.inference.noise_profile import load_noise, save_noise
-from service.protocol.names import NAME_RULE, is_name
 
 logger = logging.getLogger(__name__)
 
 SUFFIX = ".npz"
 CAPACITY = 256
 MAX_HELD_BYTES = 256 * 2**20
-"""Of all profiles' covariances together; 256 of four microphones have 8 MB"""
+"""Most bytes of all profiles' covariances together; 256 of four microphones take 8 MB"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +30,7 @@ class StoredNoise:
     name: str
     noise: NoiseCovariance
     created: datetime
-    """When it was stored, UTC"""
+    """Time at which the profile was stored, UTC"""
 
 
 class NoiseStore:
@@ -39,7 +39,7 @@ class NoiseStore:
     Parameters
     ----------
     folder : Path, optional
-        Where profiles outlive the process, each as ``NAME.npz``; read when first needed.
+        Keeps profiles across restarts, each as ``NAME.npz``; read when first needed.
     capacity : int
         Most profiles.
     max_bytes : int
@@ -58,7 +58,7 @@ class NoiseStore:
         max_bytes: int = MAX_HELD_BYTES,
     ) -> None:
         if folder is not None and folder.exists() and not folder.is_dir():
-            raise ConfigError(f"noise_folder {folder} is no folder: name one for noise profiles")
+            raise ConfigError(f"noise_folder {folder} is not a folder: name one for noise profiles")
         self._folder = folder
         self._capacity = capacity
         self._max_bytes = max_bytes
@@ -66,7 +66,7 @@ class NoiseStore:
         self._profiles: dict[str, StoredNoise] | None = None
 
     def all(self) -> list[StoredNoise]:
-        """All profiles in the order of their names."""
+        """All profiles, sorted by name."""
         with self._lock:
             return [stored for _, stored in sorted(self._loaded().items())]
 
@@ -76,14 +76,14 @@ class NoiseStore:
             return self._found(name)
 
     def put(self, name: str, noise: NoiseCovariance) -> StoredNoise:
-        """Keep a profile under a name, in place of the one that had it.
+        """Store a profile; it replaces one of the same name.
 
         Raises
         ------
         InvalidOption
-            If the name is none after ``service.protocol.names``.
+            If the name is none after ``neuralmusic.protocol.names``.
         NoiseStoreFull
-            If there is no room for another one.
+            If there is no room for another profile.
         OSError
             If the folder cannot be written.
         """
@@ -93,13 +93,13 @@ class NoiseStore:
             profiles = self._loaded()
             if name not in profiles and len(profiles) >= self._capacity:
                 raise NoiseStoreFull(
-                    f"{self._capacity} noise profiles are stored, more are not kept: delete one "
+                    f"the limit of {self._capacity} noise profiles is reached: delete one "
                     "with DELETE /noise/NAME"
                 )
             others = _bytes(stored for stored in profiles.values() if stored.name != name)
             if others + noise.covariance.nbytes > self._max_bytes:
                 raise NoiseStoreFull(
-                    f"the noise profiles would have more than {self._max_bytes / 2**20:g} MB: "
+                    f"the noise profiles would take more than {self._max_bytes / 2**20:g} MB: "
                     "delete one with DELETE /noise/NAME"
                 )
             if self._folder is not None:
@@ -108,7 +108,7 @@ class NoiseStore:
             return profiles[name]
 
     def delete(self, name: str) -> None:
-        """Forget a profile, or raise UnknownNoise; OSError where its file stays, and so it does."""
+        """Delete a profile, or raise UnknownNoise; an OSError leaves profile and file in place."""
         with self._lock:
             self._found(name)
             if self._folder is not None:
@@ -120,7 +120,7 @@ class NoiseStore:
         profiles = self._loaded()
         if name not in profiles:
             raise UnknownNoise(
-                f"no noise profile is called {name[:64]!r}: send one with PUT /noise/NAME; there "
+                f"no noise profile is called {name[:64]!r}: send it with PUT /noise/NAME; stored "
                 f"are {', '.join(sorted(profiles)[:20]) or 'none'}"
             )
         return profiles[name]
@@ -139,11 +139,11 @@ def _bytes(profiles: Iterable[StoredNoise]) -> int:
 
 
 def _read(folder: Path, capacity: int, max_bytes: int) -> dict[str, StoredNoise]:
-    """The profiles of a folder; files that are none are left where they are."""
+    """The profiles of a folder; other files are ignored."""
     profiles: dict[str, StoredNoise] = {}
     for path in sorted(path for path in folder.glob(f"*{SUFFIX}") if is_name(path.stem)):
         if len(profiles) >= capacity or _bytes(profiles.values()) >= max_bytes:
-            logger.warning("%s holds more noise profiles than are kept: rest left out", folder)
+            logger.warning("%s exceeds the limit of noise profiles: the rest is left out", folder)
             break
         try:
             if not path.is_file():  # a pipe would be read for ever
@@ -158,7 +158,7 @@ def _read(folder: Path, capacity: int, max_bytes: int) -> dict[str, StoredNoise]
 
 
 def _write(folder: Path, name: str, noise: NoiseCovariance) -> None:
-    """Write beside and rename: a reader never sees half a profile."""
+    """Write to a temporary file and rename it: a reader never sees half a profile."""
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=folder, prefix=".", suffix=".part", delete=False) as file:
         path = Path(file.name)

@@ -1,7 +1,7 @@
-"""The blocks of frames that a stream's result looks back on, and their sum.
+"""The blocks of frames behind a stream's result, and their sum.
 
-Each has a place in arrays that stay where they are: a step writes the one or two blocks that are
-new and the one that has become final, and reads all of them.
+Each block has a fixed place in the arrays: a step writes the one or two new blocks and the one that
+has become final, and reads all of them.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from service.inference.candidates import Candidates, find_candidates
 from service.inference.weights import CandidateSearch, principal_eigenvectors
 
 RECENCY = (1.0, 1.0, 1.0, 0.6, 0.3)
-"""What the blocks of a result count, newest first; 0.51 to 0.66 s with the open ones. Counting all
-five alike finds two who stand 1 % more often and follows one who walks 1.4 degrees worse; four
-blocks follow better still, but take the onset of sensor noise for a talker"""
+"""Weights of the blocks of a result, newest first; they span 0.51 to 0.66 s with the open ones.
+Equal weights find two standing talkers 1 % more often and follow a walking one 1.4 degrees worse.
+Four blocks follow better still, but take the onset of sensor noise for a talker."""
 WINDOW_BLOCKS = len(RECENCY)
 _RECENCY = np.array(RECENCY, dtype=np.float32)[:, None]
 
@@ -26,36 +26,36 @@ class RecentBlocks:
     Parameters
     ----------
     search : CandidateSearch
-        For their spectra and what is found in them.
+        Computes their spectra and finds the candidates.
     """
 
     def __init__(self, search: CandidateSearch) -> None:
         self._search = search
         self._passed = 0
-        """Blocks that are final, those included that are forgotten"""
+        """Number of final blocks, forgotten ones included"""
         self._last = 0
-        """Blocks in all, the open ones included"""
+        """Number of all blocks, open ones included"""
         self._stale: list[int] = []
-        """Places whose covariances have no spectra yet"""
-        # By place, a block's number modulo WINDOW_BLOCKS; the whole window has the last one.
+        """Places of covariances without spectra"""
+        # A block's place is its number modulo WINDOW_BLOCKS; the whole window has the last place.
         self._covariance: ComplexArray | None = None
         """(WINDOW_BLOCKS, F, N, N), F bins or pairs of them"""
         self._attention: FloatArray
-        """(WINDOW_BLOCKS, F) means over eight frames, those that are missing being zero"""
+        """(WINDOW_BLOCKS, F) means over eight frames; missing frames count as zero"""
         self._dominance: FloatArray
         """(WINDOW_BLOCKS + 1, F)"""
         self._cells: FloatArray | None = None
         """(F, WINDOW_BLOCKS + 1, A) MUSIC spectra, from the first result on"""
 
     def put(self, covariance: ComplexArray, attention: FloatArray, final: int) -> None:
-        """Take the blocks that are not known to be final, oldest first.
+        """Take the blocks that were not final yet, oldest first.
 
         Parameters
         ----------
         covariance : (K, F, N, N) complex64
         attention : (K, F) float32
         final : int
-            How many of them are final now; the others will come again.
+            Number of them that are final now; the others will come again.
         """
         if self._covariance is None:
             shape = (WINDOW_BLOCKS, *covariance.shape[1:])
@@ -72,9 +72,9 @@ class RecentBlocks:
         self._passed += final
 
     def candidates(self) -> Candidates:
-        """What the last blocks show together; there must have been one."""
+        """The candidates in the last blocks, of which there must be one."""
         count = min(self._last, WINDOW_BLOCKS)
-        # Blocks lie by place; ``age`` is a place's rank in time, the oldest first.
+        # Arrays are ordered by place; ``age`` is a place's rank in time, oldest first.
         age = (np.arange(count) - (self._last - count)) % count
         recency = _RECENCY[count - 1 - age]
         self._complete(recency)
@@ -94,9 +94,9 @@ class RecentBlocks:
         return find_candidates(field)
 
     def _complete(self, recency: FloatArray) -> None:
-        """Spectra and dominance of blocks that have none, and of the sum of all.
+        """Compute spectra and dominance of blocks without them, and of the sum of all.
 
-        At once: small operations cost their calls.
+        One call computes all of them: small operations cost their calls.
         """
         assert self._covariance is not None
         blocks = self._covariance[: len(recency)]

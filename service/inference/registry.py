@@ -1,4 +1,4 @@
-"""The bundles that a process serves, and the choice among them by geometry."""
+"""The bundles of a process, and the choice among them by geometry."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from service.doa.array import MicrophoneArray
-from service.errors import (
+from neuralmusic.errors import (
     BundleCorrupt,
     BundleNotFound,
     DoaError,
@@ -16,6 +15,7 @@ from service.errors import (
     SelfTestFailed,
     UnknownModel,
 )
+from service.doa.array import MicrophoneArray
 from service.inference.bundle import (
     MANIFEST,
     Bundle,
@@ -28,8 +28,8 @@ from service.inference.localizer import localizer_of
 
 EMBEDDED_MODELS = Path(__file__).parent.parent / "models"
 GOLDEN_TOLERANCE = 1e-3
-"""Of the spectrum's maximum of 1; OpenBLAS's kernels for CPUs from Nehalem to SkylakeX, chosen by
-OPENBLAS_CORETYPE, differ by 2e-6"""
+"""Largest difference of spectra, whose maximum is 1; OpenBLAS's kernels for CPUs from Nehalem to
+SkylakeX, chosen by OPENBLAS_CORETYPE, differ by 2e-6"""
 
 
 class BundleRegistry:
@@ -46,19 +46,19 @@ class BundleRegistry:
     def load(
         cls, folders: Sequence[Path] = (), *, threads: int = 1, default: str | None = None
     ) -> BundleRegistry:
-        """Load and self-test user bundles and the embedded ones, which a user's of one name hides.
+        """Load and self-test user bundles and the embedded ones.
 
-        A user's come first, in the given order; of the embedded ones that fit an array the one
-        with the smallest error on the scenes of ``docs/results.md`` answers.
+        A user bundle hides an embedded one of the same name. User bundles come first, in the given
+        order; embedded ones follow by their error on the scenes of ``docs/results.md``.
 
         Parameters
         ----------
         folders : sequence of Path
-            Each a bundle or a folder of bundles.
+            Bundles or folders of bundles.
         threads : int
-            Of every onnxruntime session.
+            Threads of every onnxruntime session.
         default : str, optional
-            Name of the bundle to prefer over all others that fit an array.
+            Name of the bundle to prefer where it fits the array.
 
         Raises
         ------
@@ -80,12 +80,12 @@ class BundleRegistry:
 
     @classmethod
     def of_files(cls, files: Sequence[BundleFiles], *, threads: int = 1) -> BundleRegistry:
-        """The bundles of another process' registry, which has verified and self-tested them."""
+        """The bundles of another process's registry, which has verified and self-tested them."""
         return cls([open_bundle(each, threads=threads) for each in files])
 
     @property
     def files(self) -> tuple[BundleFiles, ...]:
-        """All bundles as another process can open them, in the same order."""
+        """All bundles in order, in a form that another process can open."""
         return tuple(bundle.files for bundle in self.bundles)
 
     def __str__(self) -> str:
@@ -122,7 +122,7 @@ class BundleRegistry:
 
 
 def by_error(bundles: Sequence[Bundle]) -> list[Bundle]:
-    """Bundles by their mean error in the cells that all of them were scored on, least first."""
+    """Bundles by their mean error in the cells that all were scored on, least first."""
     cells = [bundle.manifest.scores.get("cells", {}) for bundle in bundles]
     shared = set[str]().union(*cells).intersection(*cells)
     errors = [sum(scored[cell].get("maae_deg", 0.0) for cell in shared) for scored in cells]
@@ -131,7 +131,7 @@ def by_error(bundles: Sequence[Bundle]) -> list[Bundle]:
 
 
 def user_and_embedded(folders: Sequence[Path]) -> tuple[list[Path], list[Path]]:
-    """The folders of the user's bundles, and of the embedded ones that none of these hides.
+    """The folders of the user's bundles, and of the embedded ones that these do not hide.
 
     Raises
     ------
@@ -148,8 +148,7 @@ def bundle_folders(folder: Path) -> list[Path]:
     """The folder itself if it is a bundle, else its subfolders that are; or BundleNotFound."""
     if not folder.is_dir():
         raise BundleNotFound(
-            f"there is no folder {folder}: models are named by a bundle's folder, or by one with "
-            "bundles in it"
+            f"there is no folder {folder}: name a bundle's folder, or one with bundles in it"
         )
     if (folder / MANIFEST).is_file():
         return [folder]
@@ -181,5 +180,5 @@ def self_test(bundle: Bundle) -> None:
     if not difference <= GOLDEN_TOLERANCE:
         raise SelfTestFailed(
             f"bundle {bundle.manifest.name}: the golden spectra differ by {difference:.2g} (at "
-            f"most {GOLDEN_TOLERANCE:g}): this machine or its onnxruntime computes something else"
+            f"most {GOLDEN_TOLERANCE:g}): this machine or its onnxruntime computes differently"
         )

@@ -1,4 +1,4 @@
-"""The `regression` variant, the paper's: covariance matrices come out of the network."""
+"""The `regression` variant, the paper's: the network gives covariance matrices."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from service.inference.results import Source, WindowEstimate
 
 
 class RegressionLocalizer:
-    """Windows of the bundle's own array to directions: covariance and count, EVD, MUSIC, FAF."""
+    """From windows of the bundle's array to directions: covariance and count, EVD, MUSIC, FAF."""
 
     def __init__(self, bundle: Bundle, array: MicrophoneArray) -> None:
         manifest = bundle.manifest
@@ -39,7 +39,9 @@ class RegressionLocalizer:
         self, spectra: ComplexArray, num_sources: int | None, max_sources: int
     ) -> list[WindowEstimate]:
         """Directions of every window's spectra (B, N, F, L)."""
-        features = spectrogram_features(self._cropped(spectra))
+        features = spectrogram_features(
+            self._cropped(spectra), level_exponent=self._bundle.manifest.level_exponent
+        )
         covariance = self.covariance(features)
         (logits,) = self._bundle.source_count.run([features])
         probabilities = np.exp(logits - logits.max(axis=-1, keepdims=True))
@@ -71,14 +73,14 @@ class RegressionLocalizer:
         microphones = covariance.shape[-1]
         fused = self.fused(covariance, min(max(count, 1), microphones - 1))
         sources = tuple(
-            # The chance of at least this many sources, tempered by how far the peak stands out.
+            # The chance of at least this many sources, reduced where the peak stands out little.
             Source(peak.azimuth, float(chances[rank + 1 :].sum() * peak.height / fused.max()))
             for rank, peak in enumerate(find_peaks(fused, count))
         )
         return WindowEstimate(sources, fused)
 
     def _cropped(self, spectra: ComplexArray) -> ComplexArray:
-        """As many frames as the network was trained on, zero-padded where there are fewer."""
+        """Spectra cropped or zero-padded to the number of frames of the network's training."""
         latest = spectra[..., : self._frames]
         missing = self._frames - latest.shape[-1]
         return np.pad(latest, [(0, 0)] * (latest.ndim - 1) + [(0, missing)])

@@ -1,4 +1,4 @@
-"""What localizing a window gives: sources, a spectrum, warnings, the model that answered."""
+"""Results of localizing a window: sources, spectrum, warnings, model."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Source:
     confidence: float
     """0 to 1: the chance that a source is within 10 degrees of there"""
     id: int | None = None
-    """Of the track that it belongs to; None before there is one"""
+    """Id of the source's track; None before there is one"""
 
     def __post_init__(self) -> None:
         """Bring into range what rounding took out of it: a softmax's sum of 1.0000001, say.
@@ -33,18 +33,18 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class WindowEstimate:
-    """What one window of audio gives."""
+    """The result of one window of audio."""
 
     sources: tuple[Source, ...]
     """Most confident first"""
     spectrum: FloatArray
-    """(A,) broadband spatial spectrum on the azimuth grid, maximum at most 1; (0,) of a recording's
-    window whose spectrum nobody asked for"""
+    """(A,) broadband spatial spectrum on the azimuth grid, maximum at most 1; (0,) where a
+    recording's spectra were not requested"""
 
 
 @dataclass(frozen=True, slots=True)
 class AudioWarning:
-    """Something about the input that the user should know; the answer stands all the same."""
+    """Something about the input that the user should know; the answer is valid all the same."""
 
     code: str
     detail: str
@@ -52,7 +52,7 @@ class AudioWarning:
 
 @dataclass(frozen=True, slots=True)
 class ModelIdentity:
-    """Which bundle answered."""
+    """The bundle that was used."""
 
     name: str
     version: str

@@ -1,6 +1,6 @@
 """Localizing a stream: new frames in, an estimate of the latest half second out.
 
-Task: what ``Localizer`` does with whole windows, without computing anything twice.
+Task: the work of ``Localizer`` on overlapping windows, without computing anything twice.
 
 Kinds
 -----
@@ -17,11 +17,12 @@ from typing import Protocol
 
 import numpy as np
 
+from neuralmusic.errors import InvalidOption
+from neuralmusic.protocol.methods import Method
 from service.doa.array import MicrophoneArray
 from service.doa.stft import Stft
 from service.doa.types import ComplexArray
 from service.doa.whitening import NoiseCovariance
-from service.errors import InvalidOption
 from service.inference.bundle import COVARIANCE_STREAM, Bundle
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import localizer_of
@@ -30,17 +31,16 @@ from service.inference.regression import RegressionLocalizer
 from service.inference.results import WindowEstimate
 from service.inference.weights import BLOCK_FRAMES
 from service.inference.weights_stream import WeightsStream
-from service.protocol.methods import Method
 
 
 class StreamLocalizer(Protocol):
     """One stream of one array; not safe to call from two threads at a time."""
 
     window_frames: int
-    """Frames that an estimate looks back on at most"""
+    """Most frames behind an estimate"""
 
     def push(self, spectra: ComplexArray) -> None:
-        """Take the next frames (N, F, L) of all the STFT's bins, L at least 1."""
+        """Take the next frames (N, F, L) of all STFT bins, L at least 1."""
         ...
 
     def estimate(self, num_sources: int | None, max_sources: int) -> WindowEstimate:
@@ -56,7 +56,7 @@ class ClassicalStream:
     def __init__(self, localizer: ClassicalLocalizer) -> None:
         self._localizer = localizer
         self._blocks: deque[tuple[ComplexArray, int]] = deque(maxlen=WINDOW_BLOCKS)
-        """Sums over up to eight frames, and how many these are"""
+        """Sums over up to eight frames, and the numbers of frames"""
 
     def push(self, spectra: ComplexArray) -> None:
         while spectra.shape[-1]:
@@ -105,7 +105,7 @@ def stream_localizer_of(
     InvalidOption
         If the bundle cannot stream, or cannot take whitened spectra.
     NoiseMismatch
-        If the noise is not of this array and these frames.
+        If the noise was learnt with another array or other frames.
     """
     if bundle is None:
         return ClassicalStream(ClassicalLocalizer(method, array, stft, noise))

@@ -1,4 +1,4 @@
-"""The `weights` variant: networks weigh cells, covariances of any array form outside of them."""
+"""The `weights` variant: networks weigh cells, covariances of any array form outside them."""
 
 from __future__ import annotations
 
@@ -27,46 +27,47 @@ from service.inference.windows import Stretch, sliding
 
 BLOCK_FRAMES = 8
 SMALL_APERTURE = 0.3
-"""Metres; over arrays up to it the bundle's grid of azimuths finds peaks as well as one twice as
-fine (docs/performance.md), which larger arrays get"""
+"""Largest aperture in metres for which the bundle's grid of azimuths finds peaks as well as one
+twice as fine (docs/performance.md); larger arrays get the fine one"""
 TRAINED_BLOCKS = 8
-"""Of the windows that networks are trained on"""
+"""Blocks in the windows that networks are trained on"""
 HALF = np.float32(0.5)
-"""Of the blocks, which bundles keep that do not say"""
+"""Share of the blocks that are kept where a bundle names none"""
 LEAST_CONFIDENCE = 0.5
-"""Where the number of sources is estimated: a second or third that is more likely wrong than right
-is left out"""
+"""Least confidence of a second or third source where their number is estimated: one more likely
+wrong than right is left out"""
 LEAST_FIRST = 0.2
-"""The same of the most confident: whether anyone sounds is the count's to say, unless it is all but
-sure that nobody sounds there"""
+"""Least confidence of the most confident source: the count decides whether there is any, unless
+this direction is almost certainly wrong"""
 LEAST_DOMINANCE = np.float32(1e-4)
 CELL_LOADING = 1e-6
-"""Of the frames' unit power: blocks that the network all but drops lose their dominance"""
+"""Diagonal loading against the frames' unit power: blocks that the network all but drops lose
+their dominance"""
 
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """What the search needs of a bundle besides its covariance network."""
+    """A bundle's parameters for the search, besides its covariance network."""
 
     stft: Stft
     first_bin: int
     num_bins: int
     grid_size: int
-    """Azimuths of a small array's spectra"""
+    """Number of azimuths in a small array's spectra"""
     floor: float
-    """MUSIC's floor, the width of its peaks, of an array that resolves everything"""
+    """MUSIC's floor for an array that resolves everything; it sets the width of the peaks"""
     dominance_power: float
     """Exponent of the dominance in the attention"""
     window_share: float
     """Attention of a bin's whole window against the sum of its blocks'"""
     kept_share: float
-    """Of a bin's blocks, those that are attended to most, of which spectra are computed"""
+    """Share of a bin's blocks, the most attended, for which spectra are computed"""
     bins_per_cell: int = 1
-    """Neighbouring bins whose covariances are added up; more than one only without whitening"""
+    """Neighbouring bins that share a covariance; more than one only without whitening"""
 
 
 class CandidateSearch:
-    """Windows of one array's audio to candidate sources, before anything is counted."""
+    """From windows of one array's audio to candidate sources, before any count."""
 
     def __init__(
         self,
@@ -82,7 +83,7 @@ class CandidateSearch:
         every = analysis.stft.frequencies[self._bins]
         frequencies = every.reshape(-1, analysis.bins_per_cell).mean(axis=-1)
         grid_size = analysis.grid_size * (1 if array.aperture <= SMALL_APERTURE else 2)
-        # Small arrays see all directions alike: theirs would be one broad peak otherwise.
+        # The floor shrinks for small arrays, whose spectra would else be one broad peak.
         self._resolution = resolution(array.positions, frequencies)
         floor = analysis.floor * self._resolution
         self._whitening: Whitening | None = None
@@ -96,7 +97,7 @@ class CandidateSearch:
     def candidates(self, windows: FloatArray) -> Iterator[Candidates]:
         """Candidate sources of every window (B, N, T), before counting.
 
-        They hold their window's spectra: take them one by one.
+        Candidates hold their window's spectra: take them one by one.
         """
         unit, power = unit_vectors_and_power(self.spectra(windows))
         return self._candidates(unit, power, coherences(unit))
@@ -104,9 +105,8 @@ class CandidateSearch:
     def candidates_of(self, stretch: Stretch) -> Iterator[Candidates]:
         """Candidate sources of every window of a stretch.
 
-        Frames that windows share have one STFT and one coherence with those before them. Of a
-        window in which the recording ends only what was heard is looked at: sound that breaks off
-        into padding looks like somebody's.
+        STFT and coherence of frames that windows share are computed once. A window in which the
+        recording ends is cut there: sound that breaks off into padding looks like a source.
         """
         stft = self._analysis.stft
         heard = stretch.heard[-1]
@@ -129,8 +129,8 @@ class CandidateSearch:
     def _candidates(
         self, unit: ComplexArray, power: FloatArray, coherence: FloatArray
     ) -> Iterator[Candidates]:
-        """Of windows' unit vectors (B, N, F, L), powers (B, F, L) and coherences (B, 3, F, L)."""
-        # One window at a time: what a stage leaves is in the cache for the next one.
+        """Candidates from unit vectors (B, N, F, L), powers (B, F, L), coherences (B, 3, F, L)."""
+        # One window at a time: a stage's output is in the cache for the next stage.
         return starmap(self._search, zip(unit, power, coherence, strict=True))
 
     def _search(self, unit: ComplexArray, power: FloatArray, coherence: FloatArray) -> Candidates:
@@ -144,7 +144,7 @@ class CandidateSearch:
     def field_of_chosen(
         self, cells: FloatArray, attention: FloatArray, chosen: IntArray, dominance: FloatArray
     ) -> Field:
-        """``field`` of blocks (R, F) that every bin chose, with the attention (K, F) of all."""
+        """The ``field`` of the blocks (R, F) chosen in every bin, with all attention (K, F)."""
         whole = np.full((1, chosen.shape[1]), len(attention))
         total = attention.sum(axis=0, keepdims=True)
         return self.field(
@@ -163,18 +163,18 @@ class CandidateSearch:
         blocks: int,
         dominance: FloatArray,
     ) -> Field:
-        """What candidates are found in: R blocks of every bin and its whole window.
+        """The field in which candidates are found: R blocks of every bin and its whole window.
 
         Parameters
         ----------
         cells : (F, R + 1, A)
             Spectra.
         attention : (R + 1, F)
-            Of blocks and, last, the sum of all.
+            Attention of the blocks and, last, its sum.
         block : (F (R + 1),)
-            Every cell's block, bin by bin; the whole window's is ``blocks``.
+            Block of every cell, bin by bin; the whole window's is ``blocks``.
         blocks : int
-            How many there are.
+            Number of blocks.
         dominance : (R + 1, F)
         """
         attended = attention * dominance**self._analysis.dominance_power
@@ -193,7 +193,7 @@ class CandidateSearch:
     def spectra(self, windows: FloatArray) -> ComplexArray:
         """STFT of the band in whole blocks of frames: (B, N, F, L) complex64, whitened.
 
-        Up to half a block of frames at the end is left out, more is padded with zeros.
+        Up to half a block of frames at the end is left out; more is padded with zeros.
         """
         spectra = self.band(self._analysis.stft.transform(windows))
         frames = spectra.shape[-1]
@@ -203,7 +203,7 @@ class CandidateSearch:
         return spectra[..., :wanted]
 
     def band(self, spectra: ComplexArray) -> ComplexArray:
-        """The bins that are used of spectra (..., N, F, L), whitened."""
+        """The used bins of spectra (..., N, F, L), whitened."""
         band: ComplexArray = spectra[..., self._bins, :]
         return band if self._whitening is None else self._whitening.apply(band)
 
@@ -237,30 +237,30 @@ def cell_covariances(unit: ComplexArray, weights: FloatArray, chosen: IntArray) 
 
 
 def kept_blocks(blocks: int, share: float) -> int:
-    """How many of a bin's blocks go on to eigenvectors and spectra.
+    """Number of a bin's blocks that get eigenvectors and spectra.
 
-    The others count next to nothing (docs/performance.md). Short windows keep as many as those that
-    the network was trained on.
+    The others count next to nothing (docs/performance.md). Short windows keep as many as windows of
+    the network's training.
     """
     return max(min(round(share * TRAINED_BLOCKS), blocks), int(share * blocks))
 
 
 def strongest_blocks(attention: FloatArray, share: float) -> IntArray:
-    """Indices (R, F), ascending, of every bin's most attended blocks of (K, F)."""
+    """Ascending indices (R, F) of the most attended of every bin's blocks (K, F)."""
     count = kept_blocks(len(attention), share)
     order = np.argsort(attention, axis=0)[len(attention) - count :]
     return np.sort(order, axis=0)
 
 
 def block_means(attention: FloatArray) -> FloatArray:
-    """Means (K, F) over blocks of frames of attentions (F, L)."""
+    """Means (K, F) of attentions (F, L) over blocks of frames."""
     blocks = attention.T.reshape(-1, BLOCK_FRAMES, len(attention))
     means: FloatArray = blocks.mean(axis=1)
     return means
 
 
 def principal_eigenvectors(covariance: ComplexArray) -> tuple[ComplexArray, FloatArray]:
-    """The signal subspace of rank one and how far it dominates.
+    """The signal subspace of rank one and its dominance.
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ class SourceCounter:
     ----------
     network : Engine
     together : bool
-        Whether the sources' directions are found again once all are known.
+        Whether the sources' directions are refined once all are known.
     """
 
     def __init__(self, network: Engine, *, together: bool = True) -> None:
@@ -296,7 +296,7 @@ class SourceCounter:
     def select(
         self, candidates: Iterable[Candidates], num_sources: int | None, max_sources: int
     ) -> list[WindowEstimate]:
-        """Every window's sources; parameters as in ``WeightsLocalizer.estimate``."""
+        """Sources of every window; parameters as in ``WeightsLocalizer.estimate``."""
         return [self.sources(window, num_sources, max_sources) for window in candidates]
 
     def sources(
@@ -318,7 +318,7 @@ class SourceCounter:
 
 
 class WeightsLocalizer:
-    """Windows of one array's audio to directions, with a `weights` bundle."""
+    """From windows of one array's audio to directions, with a `weights` bundle."""
 
     def __init__(
         self, bundle: Bundle, array: MicrophoneArray, noise: NoiseCovariance | None = None
@@ -334,11 +334,11 @@ class WeightsLocalizer:
         Parameters
         ----------
         windows : (B, N, T) float32
-            At the bundle's sample rate.
+            Audio at the bundle's sample rate.
         num_sources : int, optional
             Known count; None lets the source-count network decide.
         max_sources : int
-            Bound on the estimated count.
+            Largest estimated count.
         """
         return self._counter.select(self._search.candidates(windows), num_sources, max_sources)
 
@@ -365,9 +365,9 @@ def analysis_of(bundle: Bundle) -> Analysis:
 
 
 def surest(confidence: FloatArray, count: int, least: float) -> list[int]:
-    """The ``count`` candidates found first that are confident enough, most confident first.
+    """Those of the first ``count`` candidates that are confident enough, most confident first.
 
-    The most confident is held to at most ``LEAST_FIRST``.
+    The most confident needs no more than ``LEAST_FIRST``.
     """
     order = np.argsort(-confidence[:count], kind="stable").tolist()
     kept = [index for index in order[:1] if confidence[index] >= min(least, LEAST_FIRST)]

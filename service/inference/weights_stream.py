@@ -1,9 +1,9 @@
 """The `weights` variant over a stream: every frame passes the STFT and the network once.
 
-Time is cut into the same blocks of 8 frames as in a window. A block's covariances, eigenvectors and
-spectra are kept once its frames are final (``service/inference/recent_blocks.py``), so that a
-result costs the network on the new frames and the covariance, EVD and MUSIC of the one or two
-blocks that are still open and of the sum.
+Time is cut into blocks of 8 frames, as in a window. A block's covariances, eigenvectors and spectra
+are kept once its frames are final (``service/inference/recent_blocks.py``). A result costs the
+network on the new frames, and covariance, EVD and MUSIC of the one or two open blocks and of the
+sum.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from service.inference.weights import (
 )
 
 FEATURE_REACH = 2
-"""Frames that the features look back"""
+"""Previous frames that the features need"""
 LEVEL_FRAMES = 64
-"""A second, over which levels are relative to the mean: the network's training window"""
+"""Frames over which levels are relative to the mean: a second, the network's training window"""
 
 
 AnyFloats = TypeVar("AnyFloats", FloatArray, ComplexArray)
@@ -47,7 +47,7 @@ class NetworkStream:
     Parameters
     ----------
     engine : Engine
-        Of the graph ``covariance_stream.onnx``.
+        The graph ``covariance_stream.onnx``.
     num_microphones, num_bins : int
     """
 
@@ -59,12 +59,12 @@ class NetworkStream:
         self._state = engine.initial_state()
 
     def push(self, unit: ComplexArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Weights and attentions of the newest frames, after (N, F, L) and (F, L) new ones.
+        """Take L new frames (N, F, L) and (F, L); return weights and attentions of the newest ones.
 
-        Both are (P + L, F): the P frames before the new ones were provisional and are final now;
-        the newest P are provisional, since the network looks as far ahead.
+        Both are (P + L, F). The P frames before the new ones were provisional and are now final;
+        the newest P are provisional, because the network looks as far ahead.
         """
-        # Digital silence says nothing of the level of what follows: a microphone was not on yet.
+        # Digital silence tells nothing about the level to come: the microphone was not on yet.
         self._means.extend(mean for mean in power.mean(axis=0).tolist() if mean > 0)
         mean = np.array(sum(self._means) / max(len(self._means), 1), dtype=np.float32)
         unit = np.concatenate([self._unit, unit], axis=2)
@@ -89,30 +89,30 @@ class WeightsStream:
         self, bundle: Bundle, array: MicrophoneArray, noise: NoiseCovariance | None = None
     ) -> None:
         assert bundle.covariance_stream is not None
-        # Over a small array the phase differs by less than 10 degrees between neighbouring bins, so
-        # that two can share one covariance: 18 % less to compute, errors 0.1 degrees larger.
+        # Over a small array the phases of neighbouring bins differ by less than 10 degrees, so two
+        # bins can share one covariance: 18 % less to compute, errors 0.1 degrees larger.
         paired = noise is None and array.aperture <= SMALL_APERTURE
         analysis = replace(analysis_of(bundle), bins_per_cell=2 if paired else 1)
         self._bins_per_cell = analysis.bins_per_cell
         self._search = CandidateSearch(bundle.covariance, analysis, array, noise)
-        # Found again, directions of who walks follow him worse: older blocks have their say.
+        # Refined directions follow a walking talker worse, because older blocks count more.
         self._counter = SourceCounter(bundle.source_count, together=False)
         self._network = NetworkStream(
             bundle.covariance_stream, array.num_microphones, analysis.num_bins
         )
         self._blocks = RecentBlocks(self._search)
         self._frames = 0
-        """Of blocks that are not final; zeros follow in what holds them, up to whole blocks"""
+        """Frames of blocks that are not final; in the arrays zeros fill up the last block"""
         self._provisional = 0
-        """The newest of them"""
+        """Number of provisional frames, the newest ones"""
         self._unit = np.zeros((array.num_microphones, 0, analysis.num_bins), dtype=np.complex64)
-        """(N, L, F) of unit norm"""
+        """(N, L, F) unit vectors"""
         self._weights = np.zeros((0, analysis.num_bins), dtype=np.float32)
         self._attention = self._weights
 
     def push(self, spectra: ComplexArray) -> None:
-        """Take the next frames (N, F, L) of all the STFT's bins, L at least 1."""
-        if self._frames - self._provisional >= BLOCK_FRAMES:  # nobody asked for a result
+        """Take the next frames (N, F, L) of all STFT bins, L at least 1."""
+        if self._frames - self._provisional >= BLOCK_FRAMES:  # no result was requested
             self._form_blocks()
         unit, power = unit_vectors_and_power(self._search.band(spectra))
         weights, attention = self._network.push(unit, power)
@@ -131,7 +131,7 @@ class WeightsStream:
         return self._counter.sources(self._blocks.candidates(), num_sources, max_sources)
 
     def _form_blocks(self) -> None:
-        """Covariances and attentions of all frames; those of final blocks are left behind."""
+        """Form covariances and attentions of all frames; final blocks' frames are then dropped."""
         covariance = weighted_covariance(
             np.swapaxes(self._unit, 1, 2), self._weights.T, BLOCK_FRAMES
         )

@@ -1,6 +1,6 @@
 """Analysis windows cut from a stream of audio blocks, with memory for one window and one block.
 
-Windows that overlap are joined to stretches, which hold what their windows share once.
+Overlapping windows are joined to stretches, which hold shared audio once.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ class Window:
     start: float
     """Seconds from the beginning of the recording"""
     first: int
-    """The same in samples"""
+    """Samples from the beginning of the recording"""
     audio: FloatArray
     """(N, T) float32, zero-padded where the recording ends inside"""
     heard: int
-    """Samples of it that the recording really holds"""
+    """Samples of the window that the recording really holds"""
 
 
 def windows(
@@ -73,15 +73,15 @@ class Stretch:
     """Consecutive windows and the audio that they lie in."""
 
     starts: tuple[float, ...]
-    """Seconds, of every window"""
+    """Start of every window in seconds"""
     heard: tuple[int, ...]
     """Samples of every window that the recording really holds"""
     audio: FloatArray
-    """(N, T) float32 from the first window's first sample to the last one's last, contiguous"""
+    """(N, T) float32, contiguous, from the first window's start to the last one's end"""
     length: int
     """Samples of a window"""
     hop: int
-    """Samples from one window's first to the next one's"""
+    """Samples from the start of one window to the start of the next"""
 
     def without_last(self) -> Stretch:
         """All but the last window."""
@@ -95,14 +95,14 @@ class Stretch:
 
 
 def sliding(values: Numbers, length: int, hop: int) -> Numbers:
-    """Pieces (B, ..., length) of (..., T) that begin every ``hop``, a view."""
+    """A view of (..., T) as pieces (B, ..., length) that begin every ``hop``."""
     pieces = np.lib.stride_tricks.sliding_window_view(values, length, axis=-1)
     moved: Numbers = np.moveaxis(pieces[..., ::hop, :], -2, 0)
     return moved
 
 
 def stretches(cut: Iterable[Window], most: int) -> Iterator[Stretch]:
-    """Windows joined while they overlap at one distance, at most ``most`` at a time."""
+    """Join at most ``most`` windows at a time, while they overlap at one distance."""
     joined: list[Window] = []
     for window in cut:
         if joined and (len(joined) == most or not _continues(joined, window)):
@@ -119,7 +119,7 @@ def _continues(joined: list[Window], window: Window) -> bool:
 
 
 def _hop(joined: list[Window]) -> int:
-    """Between the first two; of a window alone, its length."""
+    """Samples between the first two windows; for a single window its length."""
     return joined[1].first - joined[0].first if len(joined) > 1 else joined[0].audio.shape[1]
 
 

@@ -1,1 +1,1 @@
-"""What the machine has: CPUs, memory."""
+"""The machine's CPUs and memory."""

@@ -1,6 +1,6 @@
 """How many CPUs this process may use: its affinity, and the quota of its control group.
 
-A container's quota shows neither in ``os.cpu_count`` nor in the affinity, so that whoever counts
+A container's quota shows neither in ``os.cpu_count`` nor in the affinity. A program that counts
 those starts a thread for every CPU of the host and is throttled for most of every period.
 """
 
@@ -14,11 +14,11 @@ from pathlib import Path, PurePosixPath
 CONTROL_GROUPS = Path("/sys/fs/cgroup")
 MEMBERSHIP = Path("/proc/self/cgroup")
 CONTROLLERS = ("cpu", "cpu,cpuacct")
-"""Where version 1 mounts the controller, by distribution"""
+"""Folders where distributions mount the controller of version 1"""
 
 
 def usable_cpus() -> int:
-    """CPUs that this process may use, at least one: its affinity, rounded up to a quota."""
+    """CPUs that this process may use, at least one: its affinity, or its quota rounded up."""
     try:
         count = len(os.sched_getaffinity(0))
     except AttributeError:  # not Linux
@@ -27,15 +27,15 @@ def usable_cpus() -> int:
 
 
 def cpu_quota(root: Path = CONTROL_GROUPS, membership: Path = MEMBERSHIP) -> float:
-    """CPUs that the control groups of this process allow, of both versions; inf without a limit.
+    """CPUs that this process's control groups of either version allow; inf without a limit.
 
-    A group is limited by all groups around it, so the smallest quota on the way up counts. In a
-    container the group's own folder is the root, or is not shown at all: the root is always read.
+    The parents of a group limit it as well, so the smallest quota on the way up counts. In a
+    container the group's own folder is the root or is hidden, so the root is always read.
 
     Parameters
     ----------
     root : Path
-        Where the control groups are mounted.
+        Folder where the control groups are mounted.
     membership : Path
         ``/proc/self/cgroup``.
 
@@ -68,7 +68,7 @@ def _groups(membership: Path) -> tuple[PurePosixPath, PurePosixPath]:
 
 
 def _upwards(group: PurePosixPath) -> Iterator[PurePosixPath]:
-    """A group and all around it, relative to the hierarchy's root."""
+    """A group and all its parents, relative to the hierarchy's root."""
     yield from (each.relative_to("/") for each in (group, *group.parents) if ".." not in each.parts)
 
 

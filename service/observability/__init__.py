@@ -1,1 +1,1 @@
-"""What the service counts, logs and traces."""
+"""Metrics, logs and traces of the service."""

@@ -1,4 +1,4 @@
-"""What the service logs: for people or as JSON, with the ids of the request and the stream.
+"""Logs for people or as JSON, with the ids of the request and the stream.
 
 Nothing that came over the wire can begin a line of its own, and no key is ever written.
 """
@@ -16,19 +16,19 @@ from typing import Any
 from service.settings import Settings
 
 request_id: ContextVar[str | None] = ContextVar("request_id", default=None)
-"""Of the request that is being answered; threads of the request have it, too"""
+"""Id of the request being answered, in its threads, too"""
 session_id: ContextVar[str | None] = ContextVar("session_id", default=None)
-"""Of the stream that is being served"""
+"""Id of the stream being served"""
 
 PACKAGE = "service"
 SAID = ("method", "path", "status", "reason")
-"""Fields that their line's message repeats"""
+"""Fields already told in the message of a line"""
 HIDDEN = "[hidden]"
 _KEYS = re.compile(r"(bearer[ .:=]+)[A-Za-z0-9._~+/=-]+", re.IGNORECASE)
 """Keys as clients send them: ``Authorization: Bearer KEY`` and the subprotocol ``bearer.KEY``"""
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 _OWN = frozenset({*logging.makeLogRecord({}).__dict__, "message", "taskName", "color_message"})
-"""Attributes that every record has; further ones are a line's own fields"""
+"""Attributes of every log record; further ones are fields of the line"""
 
 
 def configure_logging(settings: Settings, worker: str | None = None) -> None:
@@ -37,7 +37,7 @@ def configure_logging(settings: Settings, worker: str | None = None) -> None:
     Parameters
     ----------
     worker : str, optional
-        Name of a worker process, which all its lines then carry.
+        Name of a worker process, shown in all its lines.
     """
     handler = logging.StreamHandler(sys.stderr)
     formatter = JsonFormatter if settings.log_format == "json" else TextFormatter
@@ -50,12 +50,12 @@ def configure_logging(settings: Settings, worker: str | None = None) -> None:
 
 
 def server_log_level(settings: Settings) -> str:
-    """uvicorn's level: on ``debug`` it would show handshakes with all their headers."""
+    """uvicorn's level, above ``debug``, which would show handshakes with all their headers."""
     return "info" if settings.log_level == "debug" else settings.log_level
 
 
 def _ids(worker: str | None) -> dict[str, Any]:
-    """What tells a line's place: ids that are known, None left out."""
+    """The known ids of a line: worker, request, stream, span."""
     known: dict[str, Any] = {
         "request_id": request_id.get(),
         "session_id": session_id.get(),
@@ -66,7 +66,7 @@ def _ids(worker: str | None) -> dict[str, Any]:
 
 
 def _span_ids() -> dict[str, str]:
-    """The ids of the current span; nothing is imported for it."""
+    """The ids of the current span, without importing OpenTelemetry for it."""
     trace = sys.modules.get("opentelemetry.trace")
     context = trace.get_current_span().get_span_context() if trace else None
     if context is None or not context.is_valid:
@@ -79,7 +79,7 @@ def _fields(record: logging.LogRecord) -> dict[str, Any]:
 
 
 class WorkerFormatter(logging.Formatter):
-    """Lines that say which process they are of, where that is a worker."""
+    """Lines that name their process where it is a worker."""
 
     def __init__(self, worker: str | None = None) -> None:
         super().__init__()
@@ -101,12 +101,12 @@ class JsonFormatter(WorkerFormatter):
         }
         if record.exc_info:
             line["exception"] = self.formatException(record.exc_info)
-        # ASCII alone, so that no reader takes a separator of Unicode for the end of a line.
+        # ASCII alone: some readers take Unicode separators for the end of a line.
         return _without_keys(json.dumps(line, default=str))
 
 
 class TextFormatter(WorkerFormatter):
-    """One line for people; only a traceback takes more."""
+    """One line for people; only a traceback takes more lines."""
 
     def format(self, record: logging.LogRecord) -> str:
         clock = f"{self.formatTime(record, '%H:%M:%S')}.{record.msecs:03.0f}"
@@ -120,7 +120,7 @@ class TextFormatter(WorkerFormatter):
 
 
 def one_line(text: str) -> str:
-    """``text`` with its control characters written out."""
+    """``text`` with its control characters escaped."""
     return _CONTROL.sub(lambda found: f"\\x{ord(found.group()):02x}", text)
 
 

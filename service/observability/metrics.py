@@ -1,4 +1,4 @@
-"""What the service counts for Prometheus: a registry per application, gauges read at the scrape.
+"""Metrics for Prometheus: a registry per application, gauges read at the scrape.
 
 ``docs/monitoring.md`` has the table of names; callers never touch ``prometheus_client``.
 """
@@ -20,7 +20,7 @@ from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.exposition import choose_encoder
 from prometheus_client.registry import Collector
 
-from service.errors import DoaError
+from neuralmusic.errors import DoaError
 from service.inference.results import ModelIdentity
 
 Kind = Literal["stream", "recording"]
@@ -28,12 +28,12 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 PREFIX = "neuralmusic"
 OTHER = "other"
-"""Value of a label that names nothing known, so that no client can make up time series"""
+"""Label value for unknown names, so that no client can make up time series"""
 METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", "WEBSOCKET")
 ORDERLY_ENDS = ("done", "draining", "vanished")
-"""Reasons of sessions that ended without an error; otherwise the error's code"""
+"""Reasons of sessions that ended without an error; other sessions have the error's code"""
 UNTREED_CODES = ("not_found", "method_not_allowed")
-"""Codes of problems that are no ``DoaError``"""
+"""Codes of problems that are not a ``DoaError``"""
 
 LATENCY_S = (0.005, 0.01, 0.02, 0.03, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.5, 0.75, 1.0, 2.0, 5.0)
 WORK_S = (
@@ -42,22 +42,22 @@ WORK_S = (
 )
 BATCH_WINDOWS = (1, 2, 3, 4, 6, 8, 12, 16, 32)
 
-# Each counter would have a second time series with the moment of its first count.
+# Each counter would have a second time series with the time of its creation.
 disable_created_metrics()  # type: ignore[no-untyped-call]
 
 
 @dataclass(frozen=True, slots=True)
 class Gauges:
-    """What is true at the moment of a scrape."""
+    """The service's state at the moment of a scrape."""
 
     sessions: int = 0
-    """Streams that run"""
+    """Running streams"""
     max_sessions: int = 0
-    """Streams that may run"""
+    """Most streams that may run"""
     recordings: int = 0
-    """Recordings in work or waiting"""
+    """Recordings being localized or waiting"""
     workers: Mapping[Kind, int] = field(default_factory=dict)
-    """Running processes"""
+    """Running processes by kind"""
     ready: bool = False
     """Whether ``/readyz`` answers 200"""
     models: Iterable[ModelIdentity] = ()
@@ -65,7 +65,7 @@ class Gauges:
 
 
 class Metrics:
-    """The counters of one application and the gauges that are read when it is scraped."""
+    """The counters of one application, and gauges that are read at each scrape."""
 
     def __init__(self) -> None:
         self.registry = registry = CollectorRegistry()
@@ -85,7 +85,7 @@ class Metrics:
         audio = counter("audio_seconds_total", "Seconds of audio received.", "kind")
         self._dropped = counter(
             "audio_dropped_seconds_total",
-            "Seconds of streams' audio dropped to stay with the present.",
+            "Seconds of streams' audio dropped so that results describe the present.",
         )
         inference = histogram(
             "inference_seconds", "Time that a worker spent on one job.", WORK_S, "kind"
@@ -93,14 +93,14 @@ class Metrics:
         queue = histogram("queue_seconds", "Time that a job waited for its worker.", WORK_S, "kind")
         self._latency = histogram(
             "result_latency_seconds",
-            "From the arrival of a result's last audio to the result on its way to the socket.",
+            "Seconds from the arrival of a result's last audio until the socket takes the result.",
             LATENCY_S,
         )
         self._lag = histogram(
             "lag_seconds", "Lag of results, as the protocol defines it.", LATENCY_S
         )
         self._batch = histogram(
-            "batch_windows", "Windows of recordings computed at a time.", BATCH_WINDOWS
+            "batch_windows", "Windows of a recording computed at a time.", BATCH_WINDOWS
         )
         self._errors = counter("errors_total", "Problems and stream errors, by code.", "code")
         self._requests = counter(
@@ -109,11 +109,11 @@ class Metrics:
         self._request_time = histogram(
             "request_seconds", "Time until a request was answered.", WORK_S, "path"
         )
-        self._lost = counter("workers_lost_total", "Workers that ended unasked.", "kind")
+        self._lost = counter("workers_lost_total", "Workers that ended unexpectedly.", "kind")
         self._reloads = counter("reloads_total", "Reloads of the models, by outcome.", "outcome")
 
-        # A series that begins at 0 has an increase when it becomes 1; and a lookup for every
-        # message would cost more than the count.
+        # Series begin at 0, so that the first count shows as an increase. They are looked up
+        # once: a lookup for every message would cost more than the count.
         self._audio = {kind: audio.labels(kind) for kind in KINDS}
         self._inference = {kind: inference.labels(kind) for kind in KINDS}
         self._queue = {kind: queue.labels(kind) for kind in KINDS}
@@ -128,19 +128,19 @@ class Metrics:
             self._ended.labels(reason)
 
     def read_from(self, read: Callable[[], Gauges]) -> None:
-        """Take the gauges of every scrape from ``read``."""
+        """Call ``read`` for the gauges at every scrape."""
         self._read = read
 
     def gauges(self) -> Gauges:
-        """What is true now."""
+        """The gauges now."""
         return self._read()
 
     def audio(self, kind: Kind, seconds: float) -> None:
-        """Count audio that came."""
+        """Count received audio."""
         self._audio[kind].inc(seconds)
 
     def audio_dropped(self, seconds: float) -> None:
-        """Count a stream's audio that was dropped."""
+        """Count dropped audio of a stream."""
         self._dropped.inc(seconds)
 
     def lag(self, seconds: float) -> None:
@@ -148,7 +148,7 @@ class Metrics:
         self._lag.observe(seconds)
 
     def result_sent(self, latency_s: float) -> None:
-        """Count one result that was handed to its socket."""
+        """Count one result that the socket took."""
         self._latency.observe(latency_s)
 
     def session_ended(self, reason: str) -> None:
@@ -170,7 +170,7 @@ class Metrics:
         path : str
             Template of the route, or ``other``.
         seconds : float, optional
-            Until it was answered; None for what has no answer to wait for, as a stream.
+            Time until the answer; None for a stream, which has no single answer.
         """
         method = method if method in METHODS else OTHER
         self._requests.labels(method, path, str(status)).inc()
@@ -178,20 +178,20 @@ class Metrics:
             self._request_time.labels(path).observe(seconds)
 
     def worked(self, kind: Kind, queued_s: float, worked_s: float) -> None:
-        """Count one job that a worker did: how long it waited and how long it took."""
+        """Count one job of a worker: how long it waited and how long it took."""
         self._queue[kind].observe(queued_s)
         self._inference[kind].observe(worked_s)
 
     def batch(self, windows: int) -> None:
-        """Count so many windows of a recording that were computed at a time."""
+        """Count the windows of a recording that were computed together."""
         self._batch.observe(windows)
 
     def worker_lost(self, kind: Kind) -> None:
-        """Count a worker that ended unasked."""
+        """Count a worker that ended unexpectedly."""
         self._lost.labels(kind).inc()
 
     def reloaded(self, *, ok: bool) -> None:
-        """Count a reload of the models, taken or refused."""
+        """Count a reload of the models, accepted or refused."""
         self._reloads.labels("ok" if ok else "refused").inc()
 
     def exposition(self, accept: str) -> tuple[bytes, str]:
@@ -201,18 +201,18 @@ class Metrics:
 
 
 class _StateCollector(Collector):
-    """Gauges that are nowhere kept twice."""
+    """Gauges read from the service's state, so that no second copy can go stale."""
 
     def __init__(self, metrics: Metrics) -> None:
         self._metrics = metrics
 
     def collect(self) -> Iterator[Metric]:
         now = self._metrics.gauges()
-        yield _gauge("sessions", "Streams that run.", now.sessions)
-        yield _gauge("max_sessions", "Streams that may run at the same time.", now.max_sessions)
-        yield _gauge("uploads", "Recordings in work or waiting.", now.recordings)
+        yield _gauge("sessions", "Running streams.", now.sessions)
+        yield _gauge("max_sessions", "Most streams that may run.", now.max_sessions)
+        yield _gauge("uploads", "Recordings being localized or waiting.", now.recordings)
         yield _gauge("ready", "1 where the service takes requests, else 0.", now.ready)
-        workers = GaugeMetricFamily(f"{PREFIX}_workers", "Processes that compute.", labels=["kind"])
+        workers = GaugeMetricFamily(f"{PREFIX}_workers", "Worker processes.", labels=["kind"])
         for kind in KINDS:
             workers.add_metric([kind], now.workers.get(kind, 0))
         yield workers
@@ -229,7 +229,7 @@ def _gauge(name: str, meaning: str, value: float) -> GaugeMetricFamily:
 
 
 def error_codes() -> Iterator[str]:
-    """The codes of ``service.errors``; those of the clients are never served."""
+    """The codes of ``neuralmusic.errors``; the service never sends those of the clients."""
     pending = [DoaError]
     while pending:
         error = pending.pop()

@@ -1,6 +1,6 @@
-"""OpenTelemetry traces: a span for every request and stream, by FastAPI's own support.
+"""OpenTelemetry traces: a span for every request and stream, through FastAPI's own support.
 
-Off by default; then nothing of OpenTelemetry's SDK is imported. The exporter takes the usual
+Traces are off by default; OpenTelemetry's SDK is then not imported. The exporter takes the usual
 ``OTEL_`` variables (headers, timeouts, batches); the endpoint is the setting ``traces``.
 """
 
@@ -12,17 +12,17 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from service import __version__
-from service.errors import ConfigError
+from neuralmusic import __version__
+from neuralmusic.errors import ConfigError
 
 if TYPE_CHECKING:
     from fastapi.telemetry import TelemetryConfig
 
 SERVICE = "neuralmusic"
 PATH = "/v1/traces"
-"""Where OTLP/HTTP takes traces, after an endpoint that is an address alone"""
+"""Path of OTLP/HTTP, added to an endpoint without a path"""
 UNTRACED = ("/livez", "/readyz", "/metrics")
-"""Asked every few seconds"""
+"""Paths without spans: they are asked every few seconds"""
 OFF: TelemetryConfig = {
     "tracing": False,
     "metrics": False,
@@ -30,16 +30,16 @@ OFF: TelemetryConfig = {
     "auto_configure": False,
 }
 FLUSH_S = 3
-"""Seconds that the last spans have at the end, so that a dead collector holds up no restart"""
+"""Most seconds for the last spans, so that a dead collector does not delay a restart"""
 
 
 class Traces:
-    """Where the spans of one application go.
+    """The spans of one application.
 
     Parameters
     ----------
     endpoint : str, optional
-        Of a collector; None for no traces at all.
+        A collector's; None for no traces at all.
 
     Raises
     ------
@@ -53,7 +53,7 @@ class Traces:
 
     @property
     def telemetry(self) -> TelemetryConfig:
-        """What FastAPI takes as ``telemetry``."""
+        """The argument ``telemetry`` of FastAPI."""
         if self._provider is None:
             return OFF
         return {
@@ -61,22 +61,22 @@ class Traces:
             "tracing": True,
             "tracer_provider": self._provider,
             "exclude": _untraced,
-            # A stream's endpoint lasts as long as the stream: its span would say nothing more.
+            # The span of a stream's endpoint would only repeat the request's: both last as long.
             "operation_spans": False,
         }
 
     def span(self, name: str) -> AbstractContextManager[Any]:
-        """A span within the request's; nothing where there are no traces."""
+        """A span within the request's; does nothing without traces."""
         if self._tracer is None:
             return nullcontext()
-        # An error that is a client's becomes a status of the request, not an exception here.
+        # A client's error becomes the status of the request, not an exception of this span.
         span: AbstractContextManager[Any] = self._tracer.start_as_current_span(
             name, record_exception=False, set_status_on_exception=False
         )
         return span
 
     def stop(self) -> None:
-        """Send what waits; blocks for a moment."""
+        """Send the remaining spans; blocks for up to ``FLUSH_S``."""
         if self._provider is not None:
             self._provider.force_flush(1000 * FLUSH_S)
             self._provider.shutdown()
@@ -99,7 +99,7 @@ def _provider(endpoint: str) -> Any:
         raise _missing()
 
     class WithoutQuery(SpanProcessor):
-        """Leaves query strings out, as the log does: clients put into them what they like."""
+        """Leaves query strings out, as the log does: they may hold anything."""
 
         def on_start(self, span: Span, parent_context: Any = None) -> None:
             if isinstance(span, ReadableSpan) and "url.query" in (span.attributes or {}):
@@ -114,4 +114,7 @@ def _provider(endpoint: str) -> Any:
 
 
 def _missing() -> ConfigError:
-    return ConfigError("traces need an extra: pip install 'neuralmusic[otel]', or leave traces out")
+    return ConfigError(
+        "traces need an extra: pip install ./client '.[otel]' in the project's folder, or leave "
+        "traces out"
+    )

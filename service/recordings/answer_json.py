@@ -9,12 +9,12 @@ from service.recordings.results import RecordingResult
 
 
 def localization_json(result: RecordingResult) -> bytes:
-    """A ``LocalizationAnswer`` in UTF-8, without ever having models of all its windows.
+    """A ``LocalizationAnswer`` in UTF-8, without pydantic models of all its windows at once.
 
-    A spectrum nobody asked for is absent, not null.
+    A spectrum that was not asked for is absent, not null.
     """
     whole = LocalizationAnswer.of(result).model_dump_json(exclude_unset=True)
-    # In a JSON string the quotes would be escaped: this occurs once, whatever an array is called.
+    # A JSON string would escape the quotes, so this occurs once, whatever an array is called.
     before, after = whole.split('"windows":[]')
     body = BytesIO()
     body.write(f'{before}"windows":['.encode())

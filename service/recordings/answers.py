@@ -6,9 +6,9 @@ from typing import Self
 
 from pydantic import BaseModel, ConfigDict
 
+from neuralmusic.protocol.degrees import azimuth_deg, unit_vector
+from neuralmusic.protocol.methods import Method
 from service.inference.results import Source
-from service.protocol.degrees import azimuth_deg, unit_vector
-from service.protocol.methods import Method
 from service.recordings.results import RecordingResult, SummarySource, WindowResult
 
 Position = tuple[float, float, float]
@@ -21,18 +21,18 @@ class Answer(BaseModel):
 
 
 class ModelAnswer(Answer):
-    """The bundle that answered."""
+    """The bundle that was used."""
 
     name: str
     version: str
     variant: str
     """`weights` (any array) or `regression` (bound to one)"""
     sha256: str
-    """Of its `bundle.json`, which holds the hashes of all other files"""
+    """Hash of its `bundle.json`, which holds the hashes of all other files"""
 
 
 class AudioAnswer(Answer):
-    """The recording as it came."""
+    """The recording as it was sent."""
 
     sample_rate: int
     """Hertz"""
@@ -60,7 +60,7 @@ class SourceAnswer(Answer):
     confidence: float
     """0 to 1: the chance that a source is within 10 degrees of there"""
     id: int | None
-    """The same for one source in all windows; null before it was tracked"""
+    """Identity of the source over all windows; null before it was tracked"""
     elevation_deg: None = None
     """Not estimated: a planar array cannot tell above from below"""
     unit_vector: list[float]
@@ -72,7 +72,7 @@ class SourceAnswer(Answer):
             azimuth_deg=azimuth_deg(source.azimuth),
             confidence=round(source.confidence, 3),
             id=source.id,
-            elevation_deg=None,  # named, since what is unset is not sent
+            elevation_deg=None,  # named because unset fields are not sent
             unit_vector=unit_vector(source.azimuth),
         )
 
@@ -109,7 +109,7 @@ class SummarySourceAnswer(Answer):
     azimuth_deg: float
     """Degrees in [0, 360), counter-clockwise from the array's +x"""
     confidence: float
-    """0 to 1: mean over its windows of the chance that a source is within 10 degrees of there"""
+    """Mean confidence of its windows, 0 to 1"""
     share: float
     """Share of the windows with any source in which this one is heard, 0 to 1"""
 
@@ -130,17 +130,17 @@ class SummaryAnswer(Answer):
 
 
 class WarningAnswer(Answer):
-    """Something about the input that the user should know; the answer stands all the same."""
+    """Something about the input that the user should know; the answer is valid all the same."""
 
     code: str
     detail: str
 
 
 class LocalizationAnswer(Answer):
-    """Where the sound in a recording comes from."""
+    """The directions of the sources in a recording."""
 
     model: ModelAnswer | None
-    """Null where a classical method answered"""
+    """The bundle that was used; null for a classical method"""
     method: Method
     audio: AudioAnswer
     array: ArrayAnswer
@@ -150,7 +150,7 @@ class LocalizationAnswer(Answer):
 
     @classmethod
     def of(cls, result: RecordingResult) -> Self:
-        """Everything but the windows, of which there may be thousands."""
+        """The answer without its windows, of which there may be thousands."""
         model, array = result.model, result.array
         return cls(
             model=ModelAnswer.model_validate(model, from_attributes=True) if model else None,

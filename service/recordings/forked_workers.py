@@ -1,9 +1,8 @@
-"""Work on a stream of inputs in a few processes, the results in the inputs' order.
+"""Work on a stream of inputs in a few processes, with the results in the inputs' order.
 
-Threads would hand the interpreter's lock around for a third of their time: behind the network a
-window is some two hundred short calls of numpy. So a recording forks its helpers, which share the
-bundle's memory with it and need not load anything; inputs' arrays reach them through memory that
-both have mapped.
+Threads would spend a third of their time on the interpreter's lock: behind the network a window is
+some two hundred short calls of numpy. A recording therefore forks its helpers. They share the
+bundle's memory with it and load nothing; the inputs' arrays reach them through shared memory.
 """
 
 from __future__ import annotations
@@ -23,19 +22,19 @@ from itertools import chain, count, islice
 from multiprocessing import get_context
 from typing import Any, TypeVar
 
-from service.errors import WorkerLost
+from neuralmusic.errors import WorkerLost
 
 InputT = TypeVar("InputT")
 ResultT = TypeVar("ResultT")
 
 FEW = 5
-"""Inputs that are not worth a process"""
+"""Fewest inputs that are worth processes"""
 AHEAD = 2
-"""Inputs per process that are handed over before the first one's result is asked for"""
+"""Inputs per process that are sent before the first result is awaited"""
 ALIGNMENT = 64
-"""Bytes: where an array may begin"""
+"""Bytes; every array begins at a multiple"""
 NICENESS = 10
-"""Streams and requests that somebody waits for go first"""
+"""Nice value of helpers: streams and requests that somebody waits for go first"""
 PR_SET_PDEATHSIG = 1
 
 
@@ -45,18 +44,18 @@ class Sent:
 
     pickled: bytes
     spans: tuple[tuple[int, int], ...]
-    """Where its arrays are in the mapped memory, from and to"""
+    """Start and end of each array in the shared memory"""
 
 
 class Mailbox:
-    """Mapped memory in slots of one size, each of which holds the arrays of one input."""
+    """Shared memory in slots of one size; each holds the arrays of one input."""
 
     def __init__(self, slots: int, slot_size: int) -> None:
         self._slots, self._slot_size = slots, slot_size
         self._memory = memoryview(mmap.mmap(-1, max(1, slots * slot_size)))
 
     def send(self, number: int, each: object) -> Sent:
-        """The input of this number, its contiguous arrays copied over that ``slots`` before."""
+        """Copy the contiguous arrays of input ``number`` over those of input ``number - slots``."""
         arrays: list[pickle.PickleBuffer] = []
         pickled = pickle.dumps(each, protocol=5, buffer_callback=arrays.append)
         begin = number % self._slots * self._slot_size
@@ -68,7 +67,7 @@ class Mailbox:
         return Sent(pickled, spans)
 
     def receive(self, sent: Sent) -> Any:
-        """The input, its arrays being views of the memory until the next one in its slot."""
+        """The input; its arrays are views that are valid until the slot is used again."""
         return pickle.loads(sent.pickled, buffers=[self._memory[a:b] for a, b in sent.spans])
 
 
@@ -86,17 +85,17 @@ def _spans(begin: int, arrays: Iterable[pickle.PickleBuffer]) -> Iterator[tuple[
 
 
 _work: Callable[[Any], Any]
-"""What a helper does, from before the fork: it need not be pickled"""
+"""A helper's function, set before the fork so that it need not be pickled"""
 _mailbox: Mailbox
 
 
 def in_order(
     work: Callable[[InputT], ResultT], inputs: Iterable[InputT], processes: int
 ) -> Iterator[tuple[InputT, ResultT]]:
-    """Every input with its result; at most two inputs per process are ahead of them.
+    """Yield every input with its result; at most two inputs per process are in work meanwhile.
 
-    With one process, or few inputs, nothing is ahead: the caller does the work. Results must not
-    be views of the inputs' arrays.
+    With one process, or few inputs, the caller itself does the work. Results must not be views of
+    the inputs' arrays.
 
     Raises
     ------
@@ -104,7 +103,7 @@ def in_order(
         If a process ended before its work was done.
     """
     inputs = iter(inputs)
-    alone = processes == 1 or sys.platform != "linux"  # elsewhere system libraries fail in a fork
+    alone = processes == 1 or sys.platform != "linux"  # other systems' libraries fail in a fork
     first = list(islice(inputs, 0 if alone else FEW))
     if len(first) < FEW:
         for each in chain(first, inputs):
@@ -131,12 +130,12 @@ def in_order(
 
 
 def _take_up(work: Callable[[InputT], ResultT], mailbox: Mailbox, parent: int) -> None:
-    """Begin a helper's life, which ends with its parent's, however that ends."""
+    """Set up a helper process that ends with its parent, however that ends."""
     global _work, _mailbox
     _work, _mailbox = work, mailbox
     os.nice(NICENESS)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # how the pool ends the others when one is lost
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the pool ends the others when one is lost
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent answers Ctrl-C
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)

@@ -1,4 +1,4 @@
-"""Which talker is which over a recording's windows: the tracker's ids on the windows' sources."""
+"""Identities of sources over a recording's windows, from the tracker."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from service.inference.results import Source
 from service.recordings.results import WindowResult
 
 SAME = math.radians(15.0)
-"""Radians; further from every track a source is nobody's"""
+"""Radians between a source and its track at most; a source further from all gets no id"""
 
 
 def identified(windows: Iterable[WindowResult]) -> Iterator[WindowResult]:
-    """The windows with ids on their sources; directions and confidences stay the windows' own."""
+    """The windows with ids on their sources; directions and confidences stay the same."""
     tracker = Tracker()
     for window in windows:
         sources = window.estimate.sources

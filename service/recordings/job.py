@@ -1,4 +1,4 @@
-"""One recording to localize: what a worker is given, tells meanwhile, and gives back."""
+"""One recording to localize: the job, reports of its progress, and the outcome."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import BinaryIO
 
+from neuralmusic.errors import DoaError, InvalidOption
 from service.audio.recording import AudioLimits, Recording
-from service.errors import DoaError, InvalidOption
 from service.inference.registry import BundleRegistry
 from service.recordings.answer_json import localization_json
 from service.recordings.localize import localize_recording
@@ -23,26 +23,26 @@ MAX_SPECTRUM_WINDOWS = 10_000
 
 @dataclass(frozen=True, slots=True)
 class RecordingJob:
-    """Everything but the recording's file."""
+    """The job without the recording's file."""
 
     asked: LocalizeRequest
-    """With the noise profile itself in its options"""
+    """The request; its options hold the noise profile itself"""
     limits: AudioLimits
     request_id: str | None = None
-    """For the log"""
+    """Id of the request, for the log"""
 
 
 @dataclass(frozen=True, slots=True)
 class HeaderRead:
-    """The header was read and found good; nothing is decoded yet."""
+    """The header is valid; nothing is decoded yet."""
 
     duration: float
-    """Seconds"""
+    """Length in seconds"""
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """The share of the recording that is done."""
+    """The share of the recording that is done, 0 to 1."""
 
     share: float
 
@@ -52,11 +52,11 @@ class Localized:
     """The answer."""
 
     body: bytes
-    """JSON"""
+    """JSON in UTF-8"""
     stretches: Mapping[int, int]
-    """How often so many windows were computed at a time"""
+    """Counts by the number of windows that were computed at a time"""
     seconds: float
-    """That it took"""
+    """Seconds the worker took"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ def localize_file(
     report: Callable[[Report], None],
     processes: int = 1,
 ) -> tuple[bytes, Mapping[int, int]]:
-    """The answer's JSON, and how often so many windows were computed at a time.
+    """The answer's JSON, and counts by the number of windows that were computed at a time.
 
     Raises
     ------
@@ -109,5 +109,5 @@ def _check_windows(duration: float, options: LocalizeOptions) -> None:
         least = math.ceil(1000 * duration / (most - 1)) / 1000
         raise InvalidOption(
             f"{duration:.0f} s at hop_s={hop:g} are {count} windows, one answer has at most "
-            f"{most}{spectra}: take hop_s={least:g} or more, or split the recording"
+            f"{most}{spectra}: use hop_s={least:g} or more, or split the recording"
         )

@@ -33,10 +33,10 @@ from service.recordings.results import LocalizeOptions, RecordingResult, WindowR
 from service.recordings.summary import summarise
 
 STRETCH_WINDOWS = 12
-"""Windows that are computed at a time: more share little more and cost memory"""
+"""Most windows computed at a time: more share little more and cost memory"""
 STRETCH_SAMPLES = STRETCH_WINDOWS * 16 * 16_384
-"""Of all these windows' channels: as many as of default windows of 16 microphones; longer windows,
-or those of more microphones, go fewer at a time, for memory's sake"""
+"""Most samples computed at a time, all channels together: default windows of 16 microphones; to
+bound memory, fewer longer windows or windows of more microphones are computed at a time"""
 
 
 def localize_recording(
@@ -52,9 +52,9 @@ def localize_recording(
     Parameters
     ----------
     progress : callable, optional
-        Told the share of the recording that is done, in [0, 1].
+        Called with the share of the recording that is done, in [0, 1].
     processes : int
-        That compute windows of a long recording; the result does not depend on it.
+        Processes for the windows of a long recording; the result does not depend on it.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def _counted(joined: Iterable[Stretch], sizes: Counter[int]) -> Iterator[Stretch
 def _estimate(
     localizer: Localizer, options: LocalizeOptions, stretch: Stretch
 ) -> list[WindowEstimate]:
-    """Estimates of a stretch's windows; of silent ones nothing is reported."""
+    """Estimates of a stretch's windows; silent ones have no sources."""
     most = min(options.max_sources, options.array.num_microphones - 1)
     estimates = estimate_stretch(localizer, stretch, options.num_sources, most)
     heard = (w[:, : max(n, 1)] for w, n in zip(stretch.windows, stretch.heard, strict=True))
@@ -132,7 +132,7 @@ def _placed(
     duration: float,
     progress: Callable[[float], None] | None,
 ) -> Iterator[WindowResult]:
-    """Windows with their time and with what of them is to be reported."""
+    """Windows with their times and the sources to report."""
     for stretch, estimates in estimated:
         for start, estimate in zip(stretch.starts, estimates, strict=True):
             t_end = min(start + options.window_s, duration)
@@ -143,7 +143,7 @@ def _placed(
 
 
 def _on_robot(estimate: WindowEstimate, orientation: Orientation) -> WindowEstimate:
-    """The sources in the robot's frame, without what lies in excluded sectors."""
+    """The sources in the robot's frame, without those in excluded sectors."""
     sources = tuple(
         replace(source, azimuth=orientation.on_robot(source.azimuth))
         for source in estimate.sources

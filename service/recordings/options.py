@@ -1,25 +1,32 @@
 """The options of ``POST /localize``: one table reads them and documents them.
 
-They arrive as text, as query parameters or form fields, and leave as ``LocalizeOptions``.
+Options arrive as text, in the query or in form fields, and become ``LocalizeOptions``.
 """
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import partial
 from typing import Any
 
+from neuralmusic.errors import InvalidOption, TooManySources, UnknownMethod
+from neuralmusic.option_text import (
+    read_channel_map,
+    read_flag,
+    read_integer,
+    read_number,
+    read_sectors,
+    read_text,
+)
+from neuralmusic.protocol.message import SHOWN
+from neuralmusic.protocol.methods import METHODS
 from service.doa.array import MicrophoneArray, validate_channel_map
 from service.doa.orientation import Orientation
 from service.doa.presets import PRESETS
-from service.errors import InvalidOption, TooManySources, UnknownMethod
-from service.inference.geometry import read_array, read_channel_map
+from service.inference.geometry import read_array
 from service.inference.results import MAX_SOURCES
-from service.protocol.message import SHOWN
-from service.protocol.methods import METHODS
 from service.recordings.results import (
     DEFAULT_HOP_S,
     DEFAULT_MAX_SOURCES,
@@ -27,18 +34,10 @@ from service.recordings.results import (
     LocalizeOptions,
 )
 
-NUMBER = re.compile(r"-?(\d+(\.\d+)?(e-?\d+)?|\.\d+(e-?\d+)?|\d+\.)", re.ASCII | re.IGNORECASE)
-"""Not float() alone: it takes "nan", "1_0" and digits of any script. Nothing in it may match in two
-ways: 64,000 digits and a letter would take minutes"""
-MAX_DIGITS = 64
-"""Characters of a number"""
-MAX_SECTORS = 16
-"""As many as a stream may exclude"""
-
 
 @dataclass(frozen=True, slots=True)
 class LocalizeRequest:
-    """Everything that a request asks for beside its recording."""
+    """What a request asks for, beside its recording."""
 
     options: LocalizeOptions
     noise: str | None = None
@@ -50,7 +49,7 @@ class Option:
     """How one option is read and documented."""
 
     read: Callable[[str], Any]
-    """Raises ValueError with the rest of a sentence that begins with the option's name"""
+    """Reads the text; a ValueError completes a sentence that begins with the option's name"""
     schema: Mapping[str, Any]
     description: str
     example: str | None = None
@@ -58,57 +57,16 @@ class Option:
 
 def number(low: float, high: float, default: float, description: str) -> Option:
     """A real number within bounds."""
-
-    def read(text: str) -> float:
-        if len(text) > MAX_DIGITS or not NUMBER.fullmatch(text):
-            raise ValueError(f"must be a number from {low:g} to {high:g}")
-        value = float(text)
-        if not low <= value <= high:
-            raise ValueError(f"must be from {low:g} to {high:g}")
-        return value
-
     bounds = {"type": "number", "minimum": low, "maximum": high, "default": default}
-    return Option(read, bounds, description)
+    return Option(partial(read_number, low=low, high=high), bounds, description)
 
 
 def integer(low: int, high: int, default: int | None, description: str) -> Option:
-    """A whole number of at least ``low``; what lies above ``high`` is for the caller to judge."""
-
-    def read(text: str) -> int:
-        if not re.fullmatch(r"-?\d{1,9}", text, re.ASCII) or int(text) < low:
-            raise ValueError(f"must be a whole number from {low} to {high}")
-        return int(text)
-
+    """A whole number of at least ``low``; the caller checks ``high``."""
     bounds = {"type": "integer", "minimum": low, "maximum": high}
     if default is not None:
         bounds["default"] = default
-    return Option(read, bounds, description)
-
-
-def read_flag(text: str) -> bool:
-    """A truth value as clients write it."""
-    if text.lower() in ("true", "1", "yes", "on"):
-        return True
-    if text.lower() in ("false", "0", "no", "off"):
-        return False
-    raise ValueError("must be true or false")
-
-
-def read_sectors(text: str) -> tuple[tuple[float, float], ...]:
-    """Sectors as ``80:100,350:10``."""
-    sentence = "must list sectors as from:to in degrees from -360 to 360, as 80:100,350:10"
-    parts = text.split(",", MAX_SECTORS)
-    if len(parts) > MAX_SECTORS:
-        raise ValueError(f"may list at most {MAX_SECTORS} sectors")
-    sectors = []
-    for part in parts:
-        if not re.fullmatch(r"\s*-?\d{1,3}(\.\d{1,6})?:-?\d{1,3}(\.\d{1,6})?\s*", part, re.ASCII):
-            raise ValueError(sentence)
-        first, last = map(float, part.split(":"))
-        if max(abs(first), abs(last)) > 360 or (last - first) % 360 == 0:
-            raise ValueError(f"{sentence}; none may be empty or the whole circle")
-        sectors.append((first, last))
-    return tuple(sectors)
+    return Option(partial(read_integer, low=low, high=high), bounds, description)
 
 
 OPTIONS: Mapping[str, Option] = {
@@ -123,27 +81,27 @@ OPTIONS: Mapping[str, Option] = {
         read_channel_map,
         {"type": "string"},
         "The recording's channel of every microphone, from 0, as `1,2,3,4` or a JSON list. "
-        "Without it a recording with one channel per microphone is taken as it is, one with the "
-        "channels of the preset's firmware (`raw_channels` of `GET /arrays`) by its layout, with "
-        "the warning `channel_map_assumed`.",
+        "Without it a recording with one channel per microphone is taken as it is. One with the "
+        "channels of the preset's firmware is mapped by `raw_channels` of `GET /arrays`, with the "
+        "warning `channel_map_assumed`.",
         example="1,2,3,4",
     ),
     "model": Option(
         str,
         {"type": "string"},
-        "A model's name (`GET /models` lists them). Without it the first that fits the array.",
+        "A model's name (`GET /models` lists them). The default is the first that fits the array.",
     ),
     "method": Option(
         str,
         {"type": "string", "enum": list(METHODS)},
-        "Without it `neural` where a model fits the array, else `norm_music`.",
+        "The default is `neural` where a model fits the array, else `norm_music`.",
     ),
     "num_sources": integer(
         1,
         MAX_SOURCES,
         None,
         "The known number of sources, those in excluded sectors included, below the number of "
-        "microphones. It wins over `max_sources`; without it the number is estimated for every "
+        "microphones. It overrides `max_sources`; without it the number is estimated for every "
         "window.",
     ),
     "max_sources": integer(
@@ -155,7 +113,7 @@ OPTIONS: Mapping[str, Option] = {
         -360,
         360,
         0.0,
-        "Degrees that the array is turned on the robot, counter-clockwise: added to every azimuth.",
+        "Degrees by which the array is turned counter-clockwise on the robot; azimuths include it.",
     ),
     "exclude_deg": Option(
         read_sectors,
@@ -167,13 +125,13 @@ OPTIONS: Mapping[str, Option] = {
     "noise": Option(
         str,
         {"type": "string"},
-        "Name of a profile of the robot's own noise, which is taken away (`GET /noise` lists them, "
+        "Name of a profile of the robot's own noise, to be removed (`GET /noise` lists them, "
         "`PUT /noise/{name}` stores one).",
     ),
     "spectrum": Option(
         read_flag,
         {"type": "boolean", "default": False},
-        "Whether every window has its spatial spectrum, 360 values, in the answer.",
+        "Whether every window in the answer has its spatial spectrum, 360 values.",
     ),
 }
 
@@ -184,9 +142,9 @@ def read_options(pairs: Iterable[tuple[str, str]]) -> LocalizeRequest:
     Raises
     ------
     InvalidOption
-        If one is unknown, given twice, unreadable or out of range.
+        If an option is unknown, given twice, unreadable or out of range.
     ArrayError, UnknownMethod, TooManySources
-        If one is readable but names nothing that there is.
+        If an option is readable but names nothing known.
     """
     values: dict[str, Any] = {}
     for name, text in pairs:
@@ -208,7 +166,6 @@ def read_options(pairs: Iterable[tuple[str, str]]) -> LocalizeRequest:
 
 def read_option(name: str, text: str) -> Any:
     """The value of one option from its text, or InvalidOption."""
-    text = text.strip()
     option = OPTIONS.get(name)
     if option is None:
         close = get_close_matches(name, OPTIONS, n=1)
@@ -216,17 +173,11 @@ def read_option(name: str, text: str) -> Any:
         raise InvalidOption(
             f"there is no option {name[:SHOWN]!r}: {hint}the options are {', '.join(OPTIONS)}"
         )
-    if not text:
-        raise InvalidOption(f"{name} is empty: give a value or leave it out")
-    try:
-        return option.read(text)
-    except ValueError as error:
-        shown = text if len(text) <= SHOWN else text[:SHOWN] + "..."
-        raise InvalidOption(f"{name} {error}, but is {json.dumps(shown)}") from None
+    return read_text(name, text, option.read)
 
 
 def _check(values: dict[str, Any]) -> None:
-    """Bounds that depend on other options, or that have an error of their own."""
+    """Check bounds that depend on other options or have an error of their own."""
     array: MicrophoneArray = values["array"]
     if "channel_map" in values:
         validate_channel_map(values["channel_map"], array.num_microphones)

@@ -16,19 +16,19 @@ from service.recordings.results import WindowResult
 _HEAD = struct.Struct("<dd")
 _SOURCE = struct.Struct("<ddq")
 NOBODY = -1
-"""In the place of a source's id that is None"""
+"""Stands for a source without an id"""
 NO_SPECTRUM: FloatArray = np.empty(0, dtype=np.float32)
 
 
 class PackedWindows(Sequence[WindowResult]):
-    """Windows in the order of time; one with two sources takes 105 bytes.
+    """Windows in time order; one with two sources takes 105 bytes.
 
     Parameters
     ----------
     orientation : Orientation
-        By which the spectra are turned when they are read; sources come turned.
+        Turns the spectra when they are read; sources are given in the robot's frame.
     spectrum : bool
-        Whether to keep the spectra, as they come: 700 to 1,500 bytes a window.
+        Whether to keep the spectra: 700 to 1,500 bytes a window.
     """
 
     def __init__(self, orientation: Orientation = ALIGNED, *, spectrum: bool = True) -> None:
@@ -37,7 +37,7 @@ class PackedWindows(Sequence[WindowResult]):
         self._spectra: list[FloatArray] | None = [] if spectrum else None
 
     def append(self, window: WindowResult) -> None:
-        """Take the next window; its sources in the robot's frame, its spectrum in the array's."""
+        """Add the next window: sources in the robot's frame, spectrum in the array's."""
         head = _HEAD.pack(window.t_start, window.t_end)
         sources = (
             _SOURCE.pack(each.azimuth, each.confidence, NOBODY if each.id is None else each.id)

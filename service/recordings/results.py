@@ -1,15 +1,15 @@
-"""What localizing a recording takes and gives: options, windows, the whole result."""
+"""Options and results of localizing a recording."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from neuralmusic.protocol.methods import Method
 from service.doa.array import MicrophoneArray
 from service.doa.orientation import ALIGNED, Orientation
 from service.doa.whitening import NoiseCovariance
 from service.inference.results import AudioWarning, ModelIdentity, WindowEstimate
-from service.protocol.methods import Method
 
 DEFAULT_WINDOW_S = 1.024
 DEFAULT_HOP_S = 0.512
@@ -53,17 +53,17 @@ class LocalizeOptions:
     num_sources: int | None = None
     """Known number of sources; None estimates it"""
     max_sources: int = DEFAULT_MAX_SOURCES
-    """At most this many where the number is estimated"""
+    """Most sources where the number is estimated"""
     window_s: float = DEFAULT_WINDOW_S
     """Seconds per window"""
     hop_s: float = DEFAULT_HOP_S
     """Seconds between windows"""
     orientation: Orientation = ALIGNED
-    """How the array is mounted, and where nothing is reported"""
+    """Mounting of the array, and sectors where nothing is reported"""
     noise: NoiseCovariance | None = None
-    """The robot's own noise, to be taken away"""
+    """The robot's own noise, to be removed"""
     spectrum: bool = False
-    """Whether every window has its spatial spectrum: without it a window is a few numbers"""
+    """Whether every window keeps its spatial spectrum; without it a window is a few numbers"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +72,9 @@ class RecordingResult:
 
     method: Method
     model: ModelIdentity | None
-    """None where a classical method answered"""
+    """Bundle that was used; None for a classical method"""
     sample_rate: int
-    """Hertz, of the recording as it came"""
+    """Hertz of the recording as it was sent"""
     channels: int
     duration: float
     """Seconds"""
@@ -84,4 +84,4 @@ class RecordingResult:
     summary: Sequence[SummarySource]
     warnings: Sequence[AudioWarning] = field(default_factory=tuple)
     stretches: Mapping[int, int] = field(default_factory=dict)
-    """How often so many windows were computed at a time"""
+    """Counts by the number of windows that were computed at a time"""

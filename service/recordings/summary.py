@@ -15,7 +15,7 @@ from service.recordings.results import SummarySource, WindowResult
 
 KERNEL = np.deg2rad(5.0)
 SEPARATION = np.deg2rad(15.0)
-"""Radians: estimates this close over a recording are one source"""
+"""Radians within which estimates of a recording are one source"""
 LEAST_SHARE = 0.1
 MAX_SUMMARY = 8
 VOTES_AT_A_TIME = 256
@@ -24,8 +24,8 @@ VOTES_AT_A_TIME = 256
 def summarise(windows: Iterable[WindowResult]) -> list[SummarySource]:
     """Cluster the windows' sources on the circle, the most frequent first.
 
-    Every estimate votes with its confidence under a Gaussian kernel; the votes' maxima are the
-    sources, and those in under a tenth of the windows that hold any source are left out.
+    Every estimate votes with its confidence under a Gaussian kernel, and the votes' maxima are
+    the sources. Those heard in under a tenth of the windows with any source are left out.
     """
     owner, azimuth, confidence = _columns(windows)
     if not len(owner):
@@ -60,12 +60,12 @@ def _columns(windows: Iterable[WindowResult]) -> tuple[IntArray, FloatArray, Flo
 
 
 def _votes(azimuth: FloatArray, confidence: FloatArray) -> FloatArray:
-    """(360,) what all estimates say for every degree; some at a time, each takes 9 kB."""
+    """(360,) votes of all estimates for every degree, computed in parts: each takes 9 kB."""
     grid = azimuth_grid()[:, None]
     votes = np.zeros(len(grid))
     for first in range(0, len(azimuth), VOTES_AT_A_TIME):
         part = slice(first, first + VOTES_AT_A_TIME)
         distances = circular_error(grid, azimuth[None, part])
-        # A vote of zero confidence still marks where something was reported.
+        # A report of zero confidence still gives a small vote.
         votes += np.exp(-0.5 * (distances / KERNEL) ** 2) @ (confidence[part] + 1e-3)
     return votes

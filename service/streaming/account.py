@@ -1,4 +1,4 @@
-"""What a session counts: audio, results, what was lost, which sources there were."""
+"""The account of a session: audio, results, losses, sources."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
-from service.protocol.server_messages import StreamSource, TrackSummary
+from neuralmusic.protocol.server_messages import StreamSource, TrackSummary
 from service.streaming.history import History, HistoryEntry, Point
 from service.streaming.pipeline import Estimate
 
 MAX_TRACKS = 256
 LONGEST_LAG_MS = 10_000
-"""Longer ones are told apart no more"""
+"""Longest lag in the counts; longer ones count as this"""
 
 
 @dataclass(slots=True)
@@ -35,19 +35,19 @@ class Account:
     results_dropped: int = 0
     """Results that the client did not read in time"""
     lag_ms: float = 0.0
-    """Of the last result"""
+    """Milliseconds of lag of the last result"""
     t_end: float = 0.0
     warnings: Counter[str] = field(default_factory=Counter)
     history: History = field(default_factory=History)
     _heard: dict[int, _Heard] = field(default_factory=dict)
     most_lag_ms: float = 0.0
-    """Of all results"""
+    """Milliseconds of the longest lag of all results"""
     _lags: list[float] = field(default_factory=list)
     _lag_counts: Counter[int] = field(default_factory=Counter)
     """Results by their lag in whole milliseconds, up to ``LONGEST_LAG_MS``"""
 
     def add(self, estimate: Estimate, sources: Iterable[StreamSource], lag_ms: float) -> None:
-        """Take in one result with its sources as they are sent."""
+        """Add one result with its sources as they are sent."""
         step = estimate.t_end - self.t_end
         self.results += 1
         self.lag_ms, self.t_end = lag_ms, estimate.t_end

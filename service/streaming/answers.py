@@ -1,4 +1,4 @@
-"""From an estimate to what is sent: the product's own result, or ODAS' objects."""
+"""Estimates as messages: the protocol's own result, or ODAS' objects."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from neuralmusic.protocol.degrees import azimuth_deg, degrees, unit_vector
+from neuralmusic.protocol.server_messages import ODAS_HOP_S, OdasPotential, OdasSource, StreamSource
 from service.doa.orientation import Orientation
 from service.doa.peaks import find_peaks
 from service.doa.tracking import Track
-from service.protocol.degrees import azimuth_deg, degrees, unit_vector
-from service.protocol.server_messages import ODAS_HOP_S, OdasPotential, OdasSource, StreamSource
 from service.streaming.pipeline import Estimate
 
 ODAS_PLACES = 4
@@ -24,7 +24,7 @@ def result_fields(
     *,
     spectrum: bool,
 ) -> dict[str, Any]:
-    """Fields of ``Result`` but for ``seq``, ``lag_ms`` and ``final``."""
+    """Fields of ``Result`` except ``seq``, ``lag_ms`` and ``final``."""
     fields: dict[str, Any] = {
         "t_start": round(estimate.t_start, 6),
         "t_end": round(estimate.t_end, 6),
@@ -54,7 +54,7 @@ def stream_source(track: Track, orientation: Orientation) -> StreamSource:
 
 
 def odas_time_stamp(estimate: Estimate) -> int:
-    """ODAS' count of hops."""
+    """The time stamp of an estimate as ODAS counts it, in hops."""
     return round(estimate.t_end / ODAS_HOP_S)
 
 

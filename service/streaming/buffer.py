@@ -5,24 +5,24 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-from service.protocol.framing import NANOSECONDS
+from neuralmusic.protocol.framing import NANOSECONDS
 
 
 class Piece(NamedTuple):
-    """Consecutive sample frames as they came."""
+    """Consecutive sample frames as they arrived."""
 
     position: int
     """Sample frames from the session's start to the piece's first, dropped and missing included"""
     data: bytes
-    """Interleaved"""
+    """Interleaved samples"""
     arrived: float
-    """Seconds, when its last byte came"""
+    """Time in seconds at which the last byte arrived"""
     capture_time_ns: int | None = None
-    """Of its first sample frame"""
+    """Capture time of the first sample frame"""
 
 
 class AudioBuffer:
-    """Audio that waits: taken from the front by any number of sample frames, dropped there too.
+    """A queue of audio; any number of sample frames can be taken or dropped at its front.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class AudioBuffer:
         self._sample_rate = sample_rate
         self._pieces: deque[Piece] = deque()
         self.frames = 0
-        """Sample frames that wait"""
+        """Sample frames in the buffer"""
 
     def append(self, piece: Piece) -> None:
         """Add whole sample frames at the end."""
@@ -46,7 +46,7 @@ class AudioBuffer:
             self.frames += len(piece.data) // self._frame_bytes
 
     def take(self, frames: int) -> list[Piece]:
-        """Remove the oldest ``frames`` sample frames, or all where fewer wait."""
+        """Remove the oldest ``frames`` sample frames, or all where there are fewer."""
         taken: list[Piece] = []
         while frames > 0 and self._pieces:
             piece = self._pieces.popleft()
@@ -64,7 +64,7 @@ class AudioBuffer:
         return taken
 
     def keep(self, frames: int) -> int:
-        """Drop the oldest audio until ``frames`` sample frames are left; how many were dropped."""
+        """Drop the oldest audio until ``frames`` sample frames are left; return how many went."""
         dropped = max(0, self.frames - frames)
         self.take(dropped)
         return dropped

@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 
 class StreamClock(NamedTuple):
-    """How far a stream has come; sessions and pipelines count by the same clock."""
+    """The position of a stream; sessions and pipelines use the same clock."""
 
     rate: int
-    """Hertz, of the analysis"""
+    """Sample rate of the analysis in hertz"""
     ratio: float
     """Sample frames of the stream per sample of the analysis"""
     samples: float = 0.0
-    """Stream time up to which there is audio, in samples; missing audio counts"""
+    """Stream time of the audio so far in samples, missing audio included"""
     reported: float = -1.0
     """Stream time of the last result in samples, negative before the first"""
 

@@ -37,7 +37,7 @@ def export_json_lines(history: Iterable[HistoryEntry]) -> str:
 
 
 def export_csv(history: Iterable[HistoryEntry]) -> str:
-    """A header, then one row per source of every result; results without any have no row."""
+    """A header, then one row per source of every result; results without sources have no row."""
     file = io.StringIO()
     writer = csv.writer(file)
     writer.writerow(COLUMNS)

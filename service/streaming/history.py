@@ -1,4 +1,4 @@
-"""The last results of a session, packed: they are kept long after anybody looks at them."""
+"""The last results of a session, packed because they are kept for a long time."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 HISTORY = 6000
-"""Results that can be exported: ten minutes at 10 Hz"""
+"""Most results that can be exported: ten minutes at 10 Hz"""
 _HEAD = struct.Struct("<d?q")
 _POINT = struct.Struct("<Idd?")
 LAST_TIME = 2**63 - 1
-"""Nanoseconds; a robot whose clock says more has none"""
+"""Latest capture time in nanoseconds; later ones are kept as none"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class History:
         return len(self._packed)
 
     def __iter__(self) -> Iterator[HistoryEntry]:
-        """Oldest first."""
+        """The results, oldest first."""
         return map(_unpacked, self._packed)
 
     @property
@@ -53,7 +53,7 @@ class History:
         return _unpacked(self._packed[-1]) if self._packed else None
 
     def append(self, entry: HistoryEntry) -> None:
-        """Keep one more result, the oldest goes."""
+        """Add a result; the oldest one goes."""
         captured = max(-LAST_TIME, min(entry.capture_time_ns or 0, LAST_TIME))
         head = _HEAD.pack(entry.t_end, entry.capture_time_ns is not None, captured)
         points = (_POINT.pack(p.id, p.azimuth_deg, p.confidence, p.active) for p in entry.points)

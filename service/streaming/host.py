@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from service.errors import UNEXPECTED, DoaError
+from neuralmusic.errors import UNEXPECTED, DoaError
 from service.inference.registry import BundleRegistry
 from service.streaming.opening import open_stream
 from service.streaming.pipeline import StreamPipeline
@@ -25,14 +25,14 @@ log = logging.getLogger(__name__)
 
 
 class StreamHost:
-    """Does the work of sessions; a ``Check`` may run in a thread beside other work."""
+    """Does the jobs of sessions; a ``Check`` may run in a thread beside another job."""
 
     def __init__(self, registry: BundleRegistry) -> None:
         self._registry = registry
         self._pipelines: dict[str, StreamPipeline] = {}
 
     def perform(self, work: Work) -> Outcome | None:
-        """The outcome of one work; None where nothing comes back."""
+        """The outcome of one job; None where nothing comes back."""
         try:
             match work:
                 case Open():

@@ -1,31 +1,31 @@
-"""Binary messages into the buffer: whole sample frames, sequence numbers, the bound."""
+"""From binary messages to the buffer: whole sample frames, sequence numbers, the size limit."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from neuralmusic.errors import InvalidMessage, MessageTooBig
+from neuralmusic.protocol import MAX_MESSAGE_BYTES
+from neuralmusic.protocol.client_messages import AudioFormat
+from neuralmusic.protocol.framing import HEADER, NANOSECONDS, SEQUENCE_MODULUS, FrameHeader
 from service.audio.pcm import container_of
-from service.errors import InvalidMessage, MessageTooBig
-from service.protocol import MAX_MESSAGE_BYTES
-from service.protocol.client_messages import AudioFormat
-from service.protocol.framing import HEADER, NANOSECONDS, SEQUENCE_MODULUS, FrameHeader
 from service.streaming.buffer import AudioBuffer, Piece
 
 LONGEST_GAP = 3600.0
-"""Seconds; a longer one by the capture times is a clock that was set"""
+"""Longest gap in seconds; a longer one by the capture times means that the clock was set"""
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Messages that never came, by the sequence numbers."""
+    """Missing messages, by the sequence numbers."""
 
     messages: int
     frames: int
-    """Sample frames by the capture times; 0 where they do not tell"""
+    """Missing sample frames by the capture times; 0 where these do not tell"""
 
 
 class Intake:
-    """The way of one stream's binary messages into its buffer."""
+    """Puts the binary messages of one stream into its buffer."""
 
     def __init__(self, audio: AudioFormat) -> None:
         self._audio = audio
@@ -33,28 +33,28 @@ class Intake:
         self._first = True
         self.buffer = AudioBuffer(audio.frame_bytes, audio.sample_rate)
         self.position = 0
-        """Sample frames up to the end of what came, missing ones included"""
+        """Sample frames up to the end of the received audio, missing ones included"""
         self.received = 0
-        """Sample frames that came"""
+        """Sample frames received"""
         self._expected_ns = 0
 
     @property
     def removed(self) -> int:
-        """Sample frames that were taken or dropped."""
+        """Sample frames taken or dropped."""
         return self.received - self.buffer.frames
 
     def receive(self, message: bytes, now: float) -> Gap | None:
-        """Buffer one message's audio; a gap before it, if there is one.
+        """Buffer one message's audio; return the gap before it, if there is one.
 
         Raises
         ------
         InvalidMessage, MessageTooBig
-            If it is no whole number of sample frames, a file's header, or too long.
+            If the message is a file's header, too long, or not a whole number of sample frames.
         """
         if len(message) > MAX_MESSAGE_BYTES:
             raise MessageTooBig(
                 f"a binary message has {len(message)} bytes, at most {MAX_MESSAGE_BYTES} are "
-                "taken: send smaller pieces more often"
+                "accepted: send smaller pieces more often"
             )
         gap, captured = None, None
         audio = message
@@ -102,7 +102,7 @@ class Intake:
         missed = (header.sequence - before.sequence - 1) % SEQUENCE_MODULUS
         if missed == 0:
             return None, header.capture_time_ns
-        if missed >= SEQUENCE_MODULUS // 2:  # counted from anew: what is missing cannot be told
+        if missed >= SEQUENCE_MODULUS // 2:  # the sender restarted: the loss cannot be told
             return Gap(0, 0), header.capture_time_ns
         seconds = (header.capture_time_ns - self._expected_ns) / NANOSECONDS
         frames = round(seconds * self._audio.sample_rate) if 0 < seconds <= LONGEST_GAP else 0

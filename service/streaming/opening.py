@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from service.doa.stft import Stft
-from service.errors import (
+from neuralmusic.errors import (
     InvalidChannelMap,
     InvalidOption,
     NoiseMismatch,
 )
+from neuralmusic.protocol.server_messages import StreamArray, StreamModel
+from service.doa.stft import Stft
 from service.inference.choice import (
     check_num_sources,
     choose_method,
@@ -18,7 +19,6 @@ from service.inference.choice import (
 from service.inference.geometry import choose_channels, given_array
 from service.inference.registry import BundleRegistry
 from service.inference.results import AudioWarning
-from service.protocol.server_messages import StreamArray, StreamModel
 from service.streaming.pipeline import StreamPipeline, StreamPlan
 from service.streaming.work import Open, StreamOpened
 
@@ -31,7 +31,7 @@ def open_stream(work: Open, registry: BundleRegistry) -> tuple[StreamPipeline, S
     Raises
     ------
     ArrayError, AudioError, OptionError
-        If the start's parts do not fit each other or what is loaded.
+        If the parts of ``start`` do not fit each other or the loaded models.
     """
     start = work.start
     array = given_array(start.array.name, start.array.positions_m)
@@ -60,7 +60,7 @@ def open_stream(work: Open, registry: BundleRegistry) -> tuple[StreamPipeline, S
 def opened(
     plan: StreamPlan, pipeline: StreamPipeline, warnings: tuple[AudioWarning, ...]
 ) -> StreamOpened:
-    """What the session tells its client of a pipeline."""
+    """What the session tells its client about a pipeline."""
     model = None
     if plan.bundle is not None:
         identity = plan.bundle.identity

@@ -1,4 +1,4 @@
-"""What a stream computes: pieces of PCM in, estimates of now out."""
+"""The computation of a stream: pieces of PCM in, estimates of the present out."""
 
 from __future__ import annotations
 
@@ -10,6 +10,11 @@ from typing import NamedTuple
 import numpy as np
 import soxr
 
+from neuralmusic.errors import InvalidOption, NoiseCalibrationFailed
+from neuralmusic.protocol.client_messages import AudioFormat, OutputOptions
+from neuralmusic.protocol.framing import NANOSECONDS
+from neuralmusic.protocol.methods import Method
+from neuralmusic.protocol.server_messages import WhyNoSource
 from service.audio.pcm import decode_pcm
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics.running import RunningDiagnostics
@@ -19,26 +24,21 @@ from service.doa.stft import Stft, StreamingStft
 from service.doa.tracking import Detection, Track, Tracker
 from service.doa.types import ComplexArray, FloatArray
 from service.doa.whitening import NoiseCovariance, NoiseEstimator
-from service.errors import InvalidOption, NoiseCalibrationFailed
 from service.inference.bundle import Bundle
 from service.inference.results import WindowEstimate
 from service.inference.stream import stream_localizer_of
-from service.protocol.client_messages import AudioFormat, OutputOptions
-from service.protocol.framing import NANOSECONDS
-from service.protocol.methods import Method
-from service.protocol.server_messages import WhyNoSource
 from service.streaming.buffer import Piece
 from service.streaming.clock import StreamClock
 
 RESAMPLING = "MQ"
-"""soxr's; 6 ms of delay where its HQ takes 33 ms"""
+"""Quality of soxr: 6 ms of delay where its HQ takes 33 ms"""
 LONG_GAP = 0.25
-"""Seconds without audio after which the window begins anew; what is missing less is closed over"""
+"""Seconds without audio after which the window starts afresh; shorter gaps are closed over"""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamPlan:
-    """What a stream is localized with."""
+    """The array, method, model and options of a stream."""
 
     audio: AudioFormat
     array: MicrophoneArray
@@ -47,11 +47,11 @@ class StreamPlan:
     bundle: Bundle | None
     stft: Stft
     noise: NoiseCovariance | None = None
-    """Of the robot itself, whitened away"""
+    """The robot's own noise, to be removed"""
 
 
 class Estimate(NamedTuple):
-    """Where the sounds come from at one moment of the stream; azimuths in the array's frame."""
+    """Directions at one moment of the stream; azimuths are in the array's frame."""
 
     t_start: float
     """Seconds of stream time"""
@@ -64,17 +64,17 @@ class Estimate(NamedTuple):
     """(A,)"""
     why_no_source: WhyNoSource | None
     arrived: float | None
-    """When the last of its audio came, by the session's clock; None before any did"""
+    """Time of the session's clock at which the last of its audio arrived; None before any did"""
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What one step gave."""
+    """The outcome of one step."""
 
     estimate: Estimate | None
-    """None where none was due"""
+    """The estimate, where one was due"""
     calibrated: NoiseCovariance | None = None
-    """The noise, in the step that completed its calibration"""
+    """The learnt noise, in the step that completes the calibration"""
     calibration_error: str | None = None
 
 
@@ -88,30 +88,30 @@ class StreamPipeline:
         """Sample frames of the stream per sample of the analysis"""
         self._tracker = Tracker()
         self.diagnostics = RunningDiagnostics(plan.audio.sample_rate, plan.channel_map, plan.array)
-        """Fed here; another thread may ask it"""
+        """Checks of the channels; steps feed them, another thread may read them"""
         self._calibration: _Calibration | None = None
         self._position = 0
-        """Sample frames of the stream up to where it was taken in, missing ones included"""
+        """Sample frames of the stream taken in so far, missing ones included"""
         self._offset = 0.0
-        """Samples of stream time that are missing before what was taken in"""
+        """Samples of stream time that are missing before this position"""
         self._arrived: float | None = None
         self._captured: tuple[int, int] | None = None
-        """A position and its capture time"""
+        """A position of the stream and its capture time"""
         self._reported = -1.0
         """Stream time of the last estimate in samples"""
         self._samples = 0
-        """Taken in since the beginning, or since audio was forgotten"""
+        """Samples taken in since the beginning, or since audio was forgotten"""
         self._begin(plan.noise)
 
     def _begin(self, noise: NoiseCovariance | None) -> None:
-        """Forget all audio, keep the tracks and the time; nothing changes where it raises."""
+        """Forget all audio, keep the tracks and the time; an exception changes nothing."""
         plan = self._plan
         microphones = plan.array.num_microphones
         self._localizer = stream_localizer_of(
             plan.method, plan.bundle, plan.array, plan.stft, noise
         )
         self._noise = noise
-        # What a resampler still holds is lost; the time that it stands for is not.
+        # The audio that a resampler still holds is lost; its time is not.
         self._offset = self._position / self._ratio
         self._samples = 0
         self._resampler = None
@@ -124,7 +124,7 @@ class StreamPipeline:
         self._fresh: list[ComplexArray] = []
         """Spectra since the last estimate"""
         self._energies: deque[tuple[int, float]] = deque()
-        """Samples and summed squares of the latest audio, a window of it"""
+        """Numbers of samples and their summed squares, for the latest window of audio"""
 
     @property
     def stream_samples(self) -> float:
@@ -133,22 +133,22 @@ class StreamPipeline:
 
     @property
     def window_s(self) -> float:
-        """Seconds that an estimate looks back on at most."""
+        """Most seconds of audio behind an estimate."""
         stft = self._plan.stft
         return stft.num_samples(self._localizer.window_frames) / self._rate
 
     @property
     def clock(self) -> StreamClock:
-        """How far the stream has come."""
+        """The position of the stream."""
         return StreamClock(self._rate, self._ratio, self.stream_samples, self._reported)
 
     def step(self, pieces: Sequence[Piece], output: OutputOptions, *, final: bool = False) -> Step:
-        """Take in audio; an estimate where one is due, or of what is there where ``final``.
+        """Take in audio; give an estimate where one is due, or for ``final`` in any case.
 
         Parameters
         ----------
         pieces : sequence of Piece
-            In order, no more than the clock's ``frames_needed`` says.
+            Pieces in order, at most the ``frames_needed`` of the clock.
         """
         due = self.clock.due(output.interval_ms)
         self._take(pieces)
@@ -165,12 +165,12 @@ class StreamPipeline:
         return Step(estimate, noise)
 
     def calibrate(self, seconds: float) -> None:
-        """Learn the noise from the next ``seconds`` of audio; not while a step runs."""
+        """Learn the noise from the next ``seconds`` of audio; never call it during a step."""
         plan = self._plan
         self._calibration = _Calibration(NoiseEstimator(plan.array, plan.stft), seconds)
 
     def _take(self, pieces: Sequence[Piece]) -> None:
-        """Take in pieces; those without anything missing between them at once."""
+        """Take in pieces; consecutive ones without a gap are joined."""
         run: list[Piece] = []
         for piece in pieces:
             if piece.position > self._position:
@@ -182,7 +182,7 @@ class StreamPipeline:
         self._analyse(run)
 
     def _skip(self, frames: int) -> None:
-        """Audio is missing: time goes on without it."""
+        """Let time pass for missing audio."""
         missing = frames / self._ratio
         if missing > LONG_GAP * self._rate:
             self._begin(self._noise)
@@ -200,7 +200,7 @@ class StreamPipeline:
         samples = decode_pcm(data, audio.encoding, audio.channels, self._plan.channel_map)
         self.diagnostics.add(samples)
         if audio.encoding == "pcm_f32le":
-            samples = np.nan_to_num(samples)  # the diagnostics keep them as they came
+            samples = np.nan_to_num(samples)  # the diagnostics got them unchanged
         if self._resampler is not None:
             samples = self._resampler.resample_chunk(np.ascontiguousarray(samples.T)).T
         self._samples += samples.shape[1]
@@ -224,7 +224,7 @@ class StreamPipeline:
         followed = self._tracker.update(found, t_end)
         # A track may coast into an excluded sector.
         tracks = [track for track in followed if not orientation.excludes(track.azimuth)]
-        # No more than are known to be there: of those, who is heard now before who may be back.
+        # At most the known number of sources: those heard now before those that may return.
         tracks.sort(key=lambda track: (not track.active, -track.confidence))
         tracks = tracks[: output.num_sources or output.max_sources]
         tracks.sort(key=lambda track: -track.confidence)
@@ -239,7 +239,7 @@ class StreamPipeline:
         )
 
     def _localize(self, output: OutputOptions) -> tuple[WindowEstimate, WhyNoSource]:
-        """The latest window's estimate; why there would be no source."""
+        """The latest window's estimate, and why there would be no source."""
         if self._fresh:
             spectra = np.concatenate(self._fresh, axis=-1)
             self._frames += spectra.shape[-1]

@@ -1,4 +1,4 @@
-"""The running sessions of a process and those that ended a while ago, for whoever watches."""
+"""The running sessions of a process and the last that ended, for watchers and exports."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
-from service.errors import Overloaded
-from service.protocol.server_messages import Ready, ServerMessage
+from neuralmusic.errors import Overloaded
+from neuralmusic.protocol.server_messages import Ready, ServerMessage
 from service.streaming.reporter import Reporter
 from service.streaming.session import Session
 
 KEPT = 16
-"""Ended sessions whose results can still be exported"""
+"""Most ended sessions whose results can still be exported"""
 
 Watcher = Callable[[ServerMessage], None]
 Act = Callable[[Callable[[], None]], None]
@@ -23,7 +23,7 @@ Act = Callable[[Callable[[], None]], None]
 
 @dataclass(slots=True, eq=False)
 class SessionEntry:
-    """One session as others see it."""
+    """One session as watchers see it."""
 
     id: str
     started_at: datetime
@@ -36,13 +36,13 @@ class SessionEntry:
 
     @property
     def client(self) -> str | None:
-        """The name that the client gave itself."""
+        """Name that the client gave itself."""
         start = self.session.start
         return start.client if start else None
 
     @property
     def running(self) -> bool:
-        """False once the session ended."""
+        """False once the session has ended."""
         return self.session.state != "closed"
 
     def watch(self, watcher: Watcher) -> None:
@@ -51,12 +51,12 @@ class SessionEntry:
         self.reporter.watched = True
 
     def unwatch(self, watcher: Watcher) -> None:
-        """Stop that."""
+        """Stop giving messages to ``watcher``."""
         self.watchers.remove(watcher)
         self.reporter.watched = bool(self.watchers)
 
     def observe(self, message: ServerMessage) -> None:
-        """Take a message of the session."""
+        """Keep a message of the session and pass it to the watchers."""
         if isinstance(message, Ready):
             self.ready = message
         for watcher in tuple(self.watchers):
@@ -64,7 +64,7 @@ class SessionEntry:
 
 
 class SessionRegistry:
-    """At most ``max_sessions`` run at a time."""
+    """The sessions of a process, of which at most ``max_sessions`` run at a time."""
 
     def __init__(self, max_sessions: int) -> None:
         self.max_sessions = max_sessions
@@ -75,41 +75,39 @@ class SessionRegistry:
         self.empty.set()
 
     def __iter__(self) -> Iterator[SessionEntry]:
-        """Running sessions, then those that ended, newest first."""
+        """Iterate over running sessions, then ended ones, newest first."""
         yield from self._running.values()
         yield from reversed(self._ended)
 
     @property
     def running(self) -> int:
-        """How many run."""
+        """Number of running sessions."""
         return len(self._running)
 
     def drain(self) -> None:
-        """End all sessions in order."""
+        """End all sessions gracefully."""
         for entry in self.running_entries():
             entry.act(entry.session.drain)
 
     def check(self) -> None:
         """Raise Overloaded where one more session would be refused."""
         if len(self._running) >= self.max_sessions:
-            raise Overloaded(
-                f"{len(self._running)} streams are running, as many as may: try again later, or "
-                "raise NEURALMUSIC_MAX_SESSIONS"
-            )
+            most = self.max_sessions
+            raise Overloaded(f"the service has reached its limit of {most} streams: try later")
 
     def new_id(self) -> str:
-        """An id that nobody guesses: whoever knows it can watch the session."""
+        """An id that cannot be guessed: whoever knows it can watch the session."""
         return secrets.token_urlsafe(9)
 
     def add(self, session: Session, reporter: Reporter, act: Act) -> SessionEntry:
-        """Enter a session."""
+        """Add a session."""
         entry = SessionEntry(session.id, datetime.now(UTC), session, reporter, act)
         self._running[session.id] = entry
         self.empty.clear()
         return entry
 
     def end(self, entry: SessionEntry) -> None:
-        """Take a session out; its results stay for a while, if it had any."""
+        """Remove a session; its results, if any, stay for a while."""
         del self._running[entry.id]
         if not self._running:
             self.empty.set()
@@ -121,5 +119,5 @@ class SessionRegistry:
         return tuple(self._running.values())
 
     def get(self, session_id: str) -> SessionEntry | None:
-        """The session of this id, running or ended."""
+        """The session with this id, running or ended."""
         return next((entry for entry in self if entry.id == session_id), None)

@@ -1,4 +1,4 @@
-"""What a session tells its client: every message is numbered, counted and handed on here."""
+"""Messages of a session to its client: each is numbered, counted and passed on here."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from service.doa.orientation import Orientation
-from service.errors import DoaError
-from service.protocol import MAX_MESSAGE_BYTES
-from service.protocol.client_messages import OutputOptions, Start
-from service.protocol.close_codes import CloseCode
-from service.protocol.server_messages import (
+from neuralmusic.errors import DoaError
+from neuralmusic.protocol import MAX_MESSAGE_BYTES
+from neuralmusic.protocol.client_messages import OutputOptions, Start
+from neuralmusic.protocol.close_codes import CloseCode
+from neuralmusic.protocol.server_messages import (
     Closing,
     Limits,
     NoiseInUse,
@@ -27,6 +26,7 @@ from service.protocol.server_messages import (
     Timing,
     WarningCode,
 )
+from service.doa.orientation import Orientation
 from service.streaming.account import Account
 from service.streaming.answers import (
     odas_potentials,
@@ -44,21 +44,21 @@ CONVENTION = (
     "output.yaw_deg is added"
 )
 STATS_S = 5.0
-"""Seconds of audio between ``stats``"""
+"""Seconds of audio between two ``stats``"""
 WARNING_S = 1.0
-"""Seconds at least between two warnings of dropped audio"""
+"""Least seconds between two warnings of dropped audio"""
 
 
 @dataclass(frozen=True, slots=True)
 class SessionLimits:
-    """What the settings allow a session."""
+    """The limits of a session, from the settings."""
 
     buffer_s: float = 0.5
-    """Seconds of audio beyond one interval that may wait"""
+    """Most seconds of audio, beyond one interval, that wait"""
     idle_timeout_s: float = 30.0
-    """Seconds without any message"""
+    """Seconds without any message after which the session ends"""
     max_session_s: float = 86_400.0
-    """Seconds"""
+    """Longest session in seconds"""
 
 
 class Reporter:
@@ -67,7 +67,7 @@ class Reporter:
     def __init__(self, on_message: Callable[[ServerMessage], None]) -> None:
         self.account = Account()
         self.watched = False
-        """Somebody watches the session: every result gets its spectrum"""
+        """Whether the session has watchers: every result then gets its spectrum"""
         self._on_message = on_message
         self._sequence = 0
         self._warned = -WARNING_S
@@ -77,7 +77,7 @@ class Reporter:
 
     def emit(self, message: type[ServerMessage], **fields: Any) -> None:
         """Send one message."""
-        # Not validated: the fields come from this package and results are many.
+        # Validation would be wasted: the fields come from this package, and results are many.
         self._on_message(message.model_construct(seq=self._sequence, **fields))
         self._sequence += 1
 
@@ -88,7 +88,7 @@ class Reporter:
         start: Start,
         limits: SessionLimits,
     ) -> None:
-        """Say what is in effect."""
+        """Send what is in effect."""
         interval_ms = start.output.interval_ms
         noise = None
         if opened.noise_s is not None and start.client is not None:
@@ -119,7 +119,7 @@ class Reporter:
             self.warn(warning.code, warning.detail)
 
     def result(self, estimate: Estimate, output: OutputOptions, now: float, *, final: bool) -> None:
-        """Send one result in the format that was asked for."""
+        """Send one result in the requested format."""
         arrived = now if estimate.arrived is None else estimate.arrived
         lag_ms = round(1000 * max(0.0, now - arrived), 1)
         orientation = Orientation.of_degrees(output.yaw_deg, output.exclude_deg)
@@ -135,7 +135,7 @@ class Reporter:
             self.emit(Result, **fields, lag_ms=lag_ms, final=final)
 
     def received(self, seconds: float, buffered_s: float) -> None:
-        """Count audio that came; ``stats`` when they are due."""
+        """Count received audio; send ``stats`` when they are due."""
         self.account.audio_s += seconds
         if self.account.audio_s < self._stats_due:
             return
@@ -153,7 +153,7 @@ class Reporter:
         )
 
     def dropped(self, seconds: float, now: float) -> None:
-        """Count audio that was dropped and say so, at most once a second."""
+        """Count dropped audio and warn of it, at most once a second."""
         self.account.dropped_s += seconds
         self._unreported += seconds
         if self._unreported == 0 or now - self._warned < WARNING_S:
@@ -161,25 +161,25 @@ class Reporter:
         duration, self._unreported, self._warned = self._unreported, 0.0, now
         self.warn(
             "audio_dropped",
-            f"{1000 * duration:.0f} ms of audio were dropped to stay with the present: the "
-            "service has too much to do, or the audio came in a burst; for files take "
+            f"{1000 * duration:.0f} ms of audio were dropped so that results describe the "
+            "present: the service is overloaded, or the audio came in a burst; for files use "
             "overflow block",
             duration_ms=round(1000 * duration, 1),
         )
 
     def gap(self, gap: Gap, sample_rate: int) -> None:
-        """Say that messages are missing."""
+        """Warn of missing messages."""
         seconds = gap.frames / sample_rate
         self.account.gap_s += seconds
         if gap.messages == 0:
-            detail = "the sequence numbers began anew: how much audio is missing cannot be told"
+            detail = "the sequence numbers started again: how much audio is missing is unknown"
         elif gap.frames:
             detail = (
                 f"{gap.messages} messages with {1000 * seconds:.0f} ms of audio are missing: the "
                 "sender or the network lost them"
             )
         else:
-            detail = f"{gap.messages} messages are missing, by the capture times without any time"
+            detail = f"{gap.messages} messages are missing, but the capture times show no gap"
         self.warn("audio_gap", detail, duration_ms=round(1000 * seconds, 1))
 
     def warn(
@@ -214,7 +214,7 @@ class Reporter:
         )
 
     def error(self, error: DoaError) -> None:
-        """Say why the session ends."""
+        """Send the error that ends the session."""
         self.emit(
             StreamError,
             code=error.code,
@@ -225,5 +225,5 @@ class Reporter:
         )
 
     def closing(self, code: str, detail: str, close_code: CloseCode) -> None:
-        """Say that the session ends in order."""
+        """Send the end of a session that ends without an error."""
         self.emit(Closing, code=code, detail=detail, close_code=int(close_code))

@@ -3,13 +3,13 @@
 States
 ------
 waiting : for ``start``; audio is an error.
-opening : ``start`` was valid; the first work builds the pipeline, audio waits meanwhile.
-running : every work takes the audio up to the next result.
-closed : ``close_code`` is set; nothing is taken any more.
+opening : ``start`` was valid; the first job builds the pipeline, audio waits meanwhile.
+running : every job takes the audio up to the next result.
+closed : ``close_code`` is set; messages are ignored.
 
-The owner calls ``receive_text`` and ``receive_bytes``, has done what ``take_work`` gives, calls
-``work_done`` with what came of it, and sends what the reporter is given. Results depend on the
-audio and the order of the messages alone: neither on how the audio is split nor on the time.
+The owner calls ``receive_text`` and ``receive_bytes``, runs the jobs that ``take_work`` gives,
+calls ``work_done`` with their outcomes, and sends the reporter's messages. Results depend only on
+the audio and the order of the messages, neither on how the audio is split nor on the time.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Literal
 
-from service.doa.whitening import NoiseCovariance
-from service.errors import (
+from neuralmusic.errors import (
     AudioBeforeStart,
     DoaError,
     InvalidMessage,
@@ -29,10 +28,8 @@ from service.errors import (
     TooManySources,
     UnknownNoise,
 )
-from service.inference.choice import check_num_sources
-from service.inference.noise_store import NoiseStore
-from service.protocol import MAX_MESSAGE_BYTES
-from service.protocol.client_messages import (
+from neuralmusic.protocol import MAX_MESSAGE_BYTES
+from neuralmusic.protocol.client_messages import (
     Calibrate,
     Flush,
     OutputOptions,
@@ -42,8 +39,11 @@ from service.protocol.client_messages import (
     Update,
     read_client_message,
 )
-from service.protocol.close_codes import CloseCode
-from service.protocol.server_messages import Calibrated, Flushed, Pong
+from neuralmusic.protocol.close_codes import CloseCode
+from neuralmusic.protocol.server_messages import Calibrated, Flushed, Pong
+from service.doa.whitening import NoiseCovariance
+from service.inference.choice import check_num_sources
+from service.inference.noise_store import NoiseStore
 from service.streaming.clock import StreamClock
 from service.streaming.intake import Intake
 from service.streaming.reporter import Reporter, SessionLimits
@@ -59,7 +59,7 @@ from service.streaming.work import (
 )
 
 MAX_COMMANDS = 1000
-"""Control messages that wait for the audio before them"""
+"""Most control messages that wait for the audio before them"""
 
 State = Literal["waiting", "opening", "running", "closed"]
 Command = Update | Flush | Calibrate | Stop
@@ -74,7 +74,7 @@ class Session:
     reporter : Reporter
         Takes every message to the client, in order.
     noise : NoiseStore
-        The calibrations that are kept.
+        The stored calibrations.
     now : float
         Seconds of a monotonic clock, as in all calls.
     """
@@ -97,17 +97,17 @@ class Session:
         self._limits = limits
         self._intake: Intake | None = None
         self._commands: deque[tuple[int, Command]] = deque()
-        """With the sample frames received before each"""
+        """Waiting commands, each with the sample frames received before it"""
         self._clock: StreamClock | None = None
         self._microphones = 0
-        """Of the array, once it is known"""
+        """Number of microphones, once the array is known"""
         self._calibrate_s: float | None = None
-        """To begin with the next audio"""
+        """Seconds of a calibration that begins with the next audio"""
         self._working: Flush | Stop | Literal["opening", "audio"] | None = None
-        """What the work under way is for"""
+        """Purpose of the job in progress"""
         self._check: Literal["due", "running"] | None = None
         self._stopping = False
-        """A stop was asked for: what follows is not of this session"""
+        """Whether ``stop`` was received: later messages do not belong to this session"""
         self._draining = False
         self._began = self._heard = now
 
@@ -134,7 +134,7 @@ class Session:
             self.fail(error)
 
     def tick(self, now: float) -> None:
-        """Look at the clock, about every second."""
+        """Check the deadlines; call it about every second."""
         limits = self._limits
         if now - self._began > limits.max_session_s:
             self.fail(
@@ -149,7 +149,7 @@ class Session:
             )
 
     def drain(self) -> None:
-        """End the session in order, since the service shuts down: what waits is localized first."""
+        """End the session gracefully at shutdown: waiting audio is localized first."""
         self._draining = True
         if self.state == "running":
             assert self._intake is not None
@@ -164,27 +164,27 @@ class Session:
             self._report.error(error)
 
     def abandon(self) -> None:
-        """The client is gone: nothing can be said any more."""
+        """End the session of a client that is gone."""
         if self.state != "closed":
             self._close(CloseCode.DONE)
             self._report.closing("vanished", "the client is gone", CloseCode.DONE)  # for watchers
 
     @property
     def wants_audio(self) -> bool:
-        """False where ``overflow`` is ``block`` and the buffer is full: read nothing then."""
+        """False where ``overflow`` is ``block`` and the buffer is full: stop reading then."""
         if self.start is None or self._intake is None or self.start.overflow != "block":
             return True
         return self.state == "closed" or self._intake.buffer.frames < self._capacity(self.start)
 
     @property
     def buffered_s(self) -> float:
-        """Seconds of audio that wait."""
+        """Seconds of waiting audio."""
         if self._intake is None or self.start is None:
             return 0.0
         return self._intake.buffer.frames / self.start.audio.sample_rate
 
     def take_work(self) -> Open | Advance | None:
-        """What is to be done now, or None; one at a time, ``work_done`` after it."""
+        """The next job, or None; call ``work_done`` before the one after it."""
         if self._working is not None or self.state in ("waiting", "closed"):
             return None
         assert self.start is not None
@@ -210,7 +210,7 @@ class Session:
         return self._advance(needed, "audio") if self._intake.buffer.frames >= needed else None
 
     def work_done(self, outcome: Outcome, now: float) -> None:
-        """Take in what came of the work."""
+        """Take in the outcome of a job."""
         purpose, self._working = self._working, None
         if self.state == "closed":
             return
@@ -225,14 +225,14 @@ class Session:
             self._advanced(outcome, purpose, now)
 
     def take_check(self) -> Check | None:
-        """A look at the channels that may be done beside other work, or None."""
+        """A check of the channels, which may run beside another job, or None."""
         if self._check != "due" or self.state != "running":
             return None
         self._check = "running"
         return Check(self.id)
 
     def check_done(self, outcome: Outcome) -> None:
-        """Warn of what the check found."""
+        """Warn of what a check found."""
         self._check = None
         if self.state == "closed" or not isinstance(outcome, Checked):
             return
@@ -260,7 +260,7 @@ class Session:
             self._append(self._intake, message)
 
     def _append(self, intake: Intake, command: Command) -> None:
-        """Have a command done behind the audio before it."""
+        """Queue a command behind the audio before it."""
         if not self._stopping:
             self._commands.append((intake.received, command))
             self._stopping = isinstance(command, Stop)
@@ -285,12 +285,12 @@ class Session:
             self._report.dropped(dropped / rate, now)
 
     def _capacity(self, start: Start) -> int:
-        """Sample frames that may wait."""
+        """Most sample frames that wait."""
         seconds = self._limits.buffer_s + self.output.interval_ms / 1000
         return round(seconds * start.audio.sample_rate)
 
     def _kept_noise(self, start: Start) -> NoiseCovariance | None:
-        """The calibration kept for the client, unless it wants none or has none."""
+        """The calibration stored for the client, unless it has none or wants none."""
         if start.client is None or start.noise == "none":
             return None
         try:
@@ -336,7 +336,7 @@ class Session:
             except (NoiseStoreFull, OSError) as error:
                 self._report.warn(
                     "calibration_failed",
-                    f"the noise is used, but kept for this stream only: {error}",
+                    f"the noise is used for this stream, but was not stored: {error}",
                 )
                 name = None
         self._report.emit(Calibrated, name=name, seconds=round(noise.seconds, 3))
@@ -350,7 +350,7 @@ class Session:
             self._calibrate_s = command.seconds
 
     def _end(self) -> None:
-        """Close in order, with the summary."""
+        """Close gracefully, with the summary."""
         if self.state == "closed":
             return
         if self._clock is not None:

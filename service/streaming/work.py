@@ -1,7 +1,7 @@
-"""What a session has computed elsewhere, and what comes back; everything can be pickled.
+"""Jobs of a session for its worker process, and their outcomes; all can be pickled.
 
-A session lives on the event loop, its pipeline in a worker process: numpy's many small operations
-in threads of one process would spend as long on handing the interpreter's lock around as on work.
+A session lives on the event loop, its pipeline in a worker process. In threads of one process,
+numpy's many small operations would spend as long on the interpreter's lock as on work.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from neuralmusic.errors import DoaError
+from neuralmusic.protocol.client_messages import OutputOptions, Start
+from neuralmusic.protocol.methods import Method
+from neuralmusic.protocol.server_messages import StreamArray, StreamModel
 from service.doa.diagnostics import Finding
 from service.doa.whitening import NoiseCovariance
-from service.errors import DoaError
 from service.inference.results import AudioWarning
-from service.protocol.client_messages import OutputOptions, Start
-from service.protocol.methods import Method
-from service.protocol.server_messages import StreamArray, StreamModel
 from service.streaming.buffer import Piece
 from service.streaming.clock import StreamClock
 from service.streaming.pipeline import Estimate
@@ -29,7 +29,7 @@ class Open:
     session: str
     start: Start
     noise: NoiseCovariance | None
-    """The calibration kept for the client"""
+    """The calibration stored for the client"""
 
 
 class Advance(NamedTuple):
@@ -39,14 +39,14 @@ class Advance(NamedTuple):
     pieces: Sequence[Piece]
     output: OutputOptions
     final: bool = False
-    """A result of what is there, due or not"""
+    """Whether to give a result now, due or not"""
     calibrate_s: float | None = None
-    """Begin to learn the noise with this audio, for so many seconds"""
+    """Seconds for which to learn the noise, beginning with this audio"""
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """Look at the channels."""
+    """Check the channels."""
 
     session: str
 
@@ -63,46 +63,46 @@ Work = Open | Advance | Check | Close
 
 @dataclass(frozen=True, slots=True)
 class StreamOpened:
-    """A pipeline that is ready, and what it works with."""
+    """A pipeline is ready; what it works with."""
 
     model: StreamModel | None
     method: Method
     array: StreamArray
     channel_map: tuple[int, ...]
     sample_rate: int
-    """Hertz, of the analysis"""
+    """Sample rate of the analysis in hertz"""
     frame_s: float
     """Seconds of an STFT frame"""
     window_s: float
-    """Seconds that a result looks back on at most"""
+    """Most seconds of audio behind a result"""
     noise_s: float | None
-    """Seconds of noise that the calibration in use was learnt from"""
+    """Seconds of noise behind the calibration in use"""
     warnings: tuple[AudioWarning, ...]
     clock: StreamClock
 
 
 class Advanced(NamedTuple):
-    """What one step gave."""
+    """The outcome of one step."""
 
     clock: StreamClock
     estimate: Estimate | None
-    """None where none was due"""
+    """The estimate, where one was due"""
     check_due: bool
     calibrated: NoiseCovariance | None = None
-    """The noise, in the step that completed its calibration"""
+    """The learnt noise, in the step that completes the calibration"""
     calibration_error: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """What is wrong with the channels and was not said before."""
+    """New findings about the channels."""
 
     findings: tuple[Finding, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """The work could not be done."""
+    """The job failed."""
 
     error: DoaError
 
@@ -110,4 +110,4 @@ class Failed:
 Outcome = StreamOpened | Advanced | Checked | Failed
 
 Answer = tuple[int, Outcome, float]
-"""What a worker sends back: the work's number, what came of it, the seconds that it took"""
+"""Answer of a worker: the job's number, its outcome, the seconds it took"""

@@ -1,1 +1,1 @@
-"""The processes that compute, and the pools that the service keeps of them."""
+"""Worker processes, and the service's pools of them."""

@@ -1,6 +1,6 @@
-"""What the service and its worker processes say to each other, over a private socket pair.
+"""Messages between the service and its worker processes, over a private socket pair.
 
-Messages are pickled: both ends are this program, nothing of a client's is ever unpickled, and no
+Messages are pickled: both ends are this program, a client's bytes are never unpickled, and no
 other process can reach the socket, which has no name.
 """
 
@@ -22,31 +22,32 @@ from typing import Any
 
 from service.inference.bundle import BundleFiles
 from service.inference.registry import BundleRegistry
+from service.machine.environment import VARIABLES
 from service.observability.logs import configure_logging
 from service.settings import Settings
 
 HEADER = struct.Struct("<I")
 READ_BYTES = 2**16
-"""At most at a time: a stream's work or its outcome is smaller"""
+"""Most bytes in one read: a stream's job or its outcome is smaller"""
 READY = "ready"
 
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """The first message to a worker: what it runs with."""
+    """The first message to a worker: its settings and models."""
 
     settings: Settings
     bundles: tuple[BundleFiles, ...]
 
 
 def packed(message: object) -> bytes:
-    """A message with its length before it."""
+    """A pickled message behind its length."""
     data = pickle.dumps(message, protocol=5)
     return HEADER.pack(len(data)) + data
 
 
 class Unpacker:
-    """Messages out of bytes in pieces of any size."""
+    """Reassembles messages from pieces of any size."""
 
     def __init__(self) -> None:
         self._held = bytearray()
@@ -56,7 +57,7 @@ class Unpacker:
         self._held += data
 
     def messages(self) -> Iterator[Any]:
-        """Those that are complete, in order."""
+        """The complete messages, in order."""
         while len(self._held) >= HEADER.size:
             end = HEADER.size + HEADER.unpack_from(self._held)[0]
             if len(self._held) < end:
@@ -83,11 +84,11 @@ class Link:
             self._connection.sendall(data[sent:])
 
     def receive(self) -> Any:
-        """The next message; EOFError once the other end is gone, TimeoutError after a timeout."""
+        """The next message; raises EOFError once the other end is gone, or TimeoutError."""
         return self.receive_with_file()[0]
 
     def receive_with_file(self) -> tuple[Any, int | None]:
-        """The next message and the file descriptor that came with it, which is the caller's."""
+        """The next message and the file descriptor that came with it; the caller closes it."""
         while True:
             for message in self._unpacker.messages():
                 return message, self._files.popleft() if self._files else None
@@ -99,9 +100,9 @@ class Link:
 
 
 def run_worker(serve: Callable[[Link, Settings, BundleRegistry], None]) -> None:
-    """A worker's whole life: set up, serve the socket whose descriptor is the argument, end.
+    """Run a worker: set it up, then serve the socket whose descriptor is the argument.
 
-    It ends when the socket does, so that it never outlives the service, and leaves signals to it.
+    The worker ends with the socket, so that it never outlives the service, which handles signals.
     """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
@@ -116,8 +117,10 @@ def run_worker(serve: Callable[[Link, Settings, BundleRegistry], None]) -> None:
 def worker_environment() -> dict[str, str]:
     """The environment of a worker process."""
     return {
+        **VARIABLES,
         **os.environ,
-        # One stream's or window's matrices are small: threads of the linear algebra only cost.
+        # A stream's or window's matrices are small: threads of the linear algebra cost more than
+        # they gain.
         "OPENBLAS_NUM_THREADS": "1",
         "OMP_NUM_THREADS": "1",
         "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),

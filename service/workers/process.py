@@ -1,4 +1,4 @@
-"""A child process of the service and the socket to it."""
+"""A worker process of the service and the socket to it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from service.workers.link import worker_environment
 READY_S = 30.0
 """Seconds that a worker has to come up before it is killed"""
 END_S = 5.0
-"""Seconds that a worker has to end before it is killed"""
+"""Seconds for a worker to end before it is killed"""
 
 
 class WorkerProcess:
@@ -23,7 +23,7 @@ class WorkerProcess:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", module, str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
-                # Decoders print there what they find wrong with a recording; logs go to stderr.
+                # Decoders print to it what they find wrong with a recording; logs go to stderr.
                 stdout=subprocess.DEVNULL,
                 env=worker_environment(),
             )
@@ -35,7 +35,7 @@ class WorkerProcess:
         return self._process.poll() is None
 
     def kill(self) -> None:
-        """End the process at once; the socket tells its reader."""
+        """Kill the process; its reader notices by the socket."""
         self._process.kill()
 
     def end(self) -> int | None:

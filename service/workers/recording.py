@@ -1,8 +1,7 @@
 """A worker process that localizes recordings, one after the other.
 
-The service starts it as ``python -m service.workers.recording FD``. Decoders of files that
-strangers made run in here and nowhere else: one that crashes or hangs takes a request with it, no
-more.
+The service starts it as ``python -m service.workers.recording FD``. Decoders of untrusted files
+run only here: one that crashes or hangs takes down a single request.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import BinaryIO
 
-from service.errors import UNEXPECTED, DoaError, WorkerLost
+from neuralmusic.errors import UNEXPECTED, DoaError, WorkerLost
 from service.inference.registry import BundleRegistry
 from service.machine.memory import give_back_memory, keep_freed_memory
 from service.recordings.job import (
@@ -34,11 +33,11 @@ log = logging.getLogger(__name__)
 
 
 class Unwanted(Exception):
-    """Nobody waits for the answer any more."""
+    """Nobody waits for the answer."""
 
 
 def work_until_end(link: Link, registry: BundleRegistry, processes: int = 1) -> None:
-    """Take jobs with their files; every report is answered with whether to go on."""
+    """Take jobs with their files; the service answers every report with whether to continue."""
 
     def report(message: Report) -> None:
         link.send(message)
@@ -72,7 +71,7 @@ def _outcome(
     except Unwanted:
         return None
     except WorkerLost:
-        sys.exit(1)  # as the helper did: the service starts another one and says so
+        sys.exit(1)  # as the helper did: the service replaces this worker and logs it
     except DoaError as error:
         return Refused(error)
     except Exception:

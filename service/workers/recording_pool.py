@@ -1,4 +1,4 @@
-"""Where recordings are localized: a bounded number of processes, a bounded number that wait."""
+"""The pool that localizes recordings: bounded processes, a bounded queue."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import anyio
 import anyio.from_thread
 import anyio.to_thread
 
-from service.errors import DecodingFailed, DoaError, Overloaded, WorkerLost
+from neuralmusic.errors import DecodingFailed, DoaError, Overloaded, WorkerLost
 from service.lifecycle import Lifecycle, Phase
 from service.observability.metrics import Metrics
 from service.recordings.job import HeaderRead, Localized, Outcome, RecordingJob, Refused, Report
@@ -24,12 +24,12 @@ from service.workers.process import READY_S, WorkerProcess
 log = logging.getLogger(__name__)
 
 CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL}
-"""Signals that a decoder's own fault ends a process with; others come from outside"""
+"""Signals by which a faulty decoder ends a process; other signals come from outside"""
 
 Admit = Callable[[HeaderRead], None]
-"""Raises a DoaError where a recording of this length is not to be localized"""
+"""Raises a DoaError where a recording of this length must be refused"""
 StillWanted = Callable[[], Coroutine[Any, Any, None]]
-"""Raises an exception of the caller's where nobody waits for the answer any more"""
+"""Raises an exception of the caller's once nobody waits for the answer"""
 
 
 class RecordingWorker:
@@ -49,7 +49,7 @@ class RecordingWorker:
         return self._process.alive
 
     def wait_ready(self) -> None:
-        """Set it up; WorkerLost where it does not come up in time."""
+        """Set the worker up; WorkerLost where it does not come up in time."""
         try:
             self._process.connection.settimeout(READY_S)
             self._link.send(self.setup)
@@ -65,19 +65,19 @@ class RecordingWorker:
     def localize(
         self, job: RecordingJob, file: BinaryIO, check: Callable[[Report], None]
     ) -> Localized:
-        """Have one recording localized.
+        """Localize one recording.
 
         Parameters
         ----------
         check : callable
-            Told of every step; what it raises ends the work and passes through.
+            Called with every report; an exception of it ends the job and passes through.
 
         Raises
         ------
         DoaError
             If the recording or the options cannot be used.
         DecodingFailed, WorkerLost
-            If the process crashed, stalled or was killed; this worker is of no more use then.
+            If the process crashed, stalled or was killed; the worker is then unusable.
         """
         try:
             self._link.send(job, [file.fileno()])
@@ -89,11 +89,11 @@ class RecordingWorker:
         return outcome
 
     def kill(self) -> None:
-        """End it at once, whatever it does."""
+        """Kill the process, whatever it does."""
         self._process.kill()
 
     def end(self) -> None:
-        """End it in order, while it does nothing."""
+        """Stop an idle worker."""
         self._process.end()
 
     def _converse(self, check: Callable[[Report], None]) -> Outcome:
@@ -111,7 +111,7 @@ class RecordingWorker:
             self._link.send(True)
 
     def _lost(self, error: Exception) -> DoaError:
-        """What to say of a process that ended or gave no sign; it is gone afterwards."""
+        """Kill a process that ended or stalled; return the error to report."""
         stalled = isinstance(error, TimeoutError)
         if stalled:
             self._process.kill()
@@ -119,18 +119,18 @@ class RecordingWorker:
         log.error("recording worker %s ended with status %s: %r", self.pid, status, error)
         if stalled:
             return DecodingFailed(
-                f"localizing the recording gave no sign for {self._stall_s:g} s and was ended: "
-                "send it as WAV or FLAC, or in pieces"
+                f"localizing the recording made no progress for {self._stall_s:g} s and was "
+                "stopped: send it as WAV or FLAC, or in pieces"
             )
         if status is not None and -status in CRASHES:
             return DecodingFailed(
-                "the decoder crashed on this recording: send it as WAV or FLAC, written anew"
+                "the decoder crashed on this recording: re-encode it as WAV or FLAC"
             )
         return WorkerLost("the process that localized this recording ended: send it again")
 
 
 class RecordingWorkers:
-    """At most ``most`` recordings at a time and ``queue`` waiting ones; more are refused."""
+    """Localizes at most ``most`` recordings at a time, queues ``queue`` more, refuses others."""
 
     def __init__(
         self, most: int, queue: int, stall_s: float, metrics: Metrics, lifecycle: Lifecycle
@@ -144,25 +144,25 @@ class RecordingWorkers:
         self._idle: list[RecordingWorker] = []
         self._busy: set[RecordingWorker] = set()
         self.admitted = 0
-        """Recordings in work or waiting"""
+        """Recordings being localized or waiting"""
         self.setup: Setup | None = None
-        """What new workers run with; set before the first one is needed"""
+        """Settings and models of new workers; set before the first one is needed"""
 
     def check(self) -> None:
         """Raise Draining or Overloaded where one more recording would be refused."""
         self._lifecycle.check(Phase.ENDING)
         if self.admitted >= self._capacity:
             raise Overloaded(
-                f"{self.admitted} recordings are being localized or wait for it: try again later"
+                f"{self.admitted} recordings are being localized or waiting: try again later"
             )
 
     async def run(
         self, job: RecordingJob, file: BinaryIO, admit: Admit, still_wanted: StillWanted
     ) -> Localized:
-        """Have a recording localized once a worker is free.
+        """Localize a recording once a worker is free.
 
-        It ends once nobody waits for it any more: a robot that times out and retries would
-        otherwise pile up work. What ``admit`` and ``still_wanted`` raise passes through.
+        The job ends once nobody waits for it: a robot that times out and retries would otherwise
+        pile up work. Exceptions of ``admit`` and ``still_wanted`` pass through.
         """
         audio_s = 0.0
 
@@ -188,7 +188,7 @@ class RecordingWorkers:
 
     @property
     def pids(self) -> list[int]:
-        """Of the running processes."""
+        """Ids of the running processes."""
         with self._lock:
             return [worker.pid for worker in (*self._idle, *self._busy)]
 
@@ -197,15 +197,14 @@ class RecordingWorkers:
         await anyio.to_thread.run_sync(lambda: self._give_back(self._take()))
 
     def prepare(self, setup: Setup) -> RecordingWorker:
-        """A worker with a new setup that is ready, for ``renew``; WorkerLost if it does not come
-        up."""
+        """Start a worker with a new setup, for ``renew``; raises WorkerLost if that fails."""
         worker = self._started(setup)
         with self._lock:
             self._busy.discard(worker)
         return worker
 
     def renew(self, prepared: RecordingWorker) -> None:
-        """Let new recordings go to workers with this one's setup; running ones are finished."""
+        """Send new recordings to workers with this one's setup; running ones finish."""
         with self._lock:
             self.setup = prepared.setup
             idle, self._idle = self._idle, [prepared]
@@ -231,7 +230,7 @@ class RecordingWorkers:
                 self._give_back(self._take())
 
     def stop(self) -> None:
-        """End all processes, once the lifecycle is ending."""
+        """End all processes; the lifecycle must be ending."""
         with self._lock:
             idle, self._idle = self._idle, []
             for worker in self._busy:
@@ -240,7 +239,7 @@ class RecordingWorkers:
             worker.end()
 
     def _count(self, localized: Localized, audio_s: float, seconds: float) -> None:
-        """Count a recording that was answered after so many seconds."""
+        """Count a recording and the seconds until its answer."""
         self._metrics.worked("recording", max(seconds - localized.seconds, 0.0), localized.seconds)
         self._metrics.audio("recording", audio_s)
         for windows, times in localized.stretches.items():
@@ -266,7 +265,7 @@ class RecordingWorkers:
         return localized
 
     def _take(self) -> RecordingWorker:
-        """A worker for one recording, started where none is idle."""
+        """An idle worker, or a new one where none is idle."""
         with self._lock:
             ended = [each for each in self._idle if not each.alive]
             self._idle = [each for each in self._idle if each.alive]

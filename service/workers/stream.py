@@ -1,4 +1,4 @@
-"""A worker process that computes streams: work comes in over a socket, what came of it goes out.
+"""A worker process that computes streams: jobs come in over a socket, outcomes go out.
 
 The service starts it as ``python -m service.workers.stream FD``.
 """
@@ -18,16 +18,16 @@ from service.workers.link import READY, Link, run_worker
 from service.workers.warm_up import warm_up
 
 CHECK_DUTY = 0.03
-"""Share of the time that looks at channels may take: a tenth of a second slows the results of all
-streams of this worker, so with many streams they take turns"""
+"""Most of the time, as a share, for checks of channels: each slows the results of all streams of
+this worker for a tenth of a second, so with many streams they take turns"""
 
 TIDY_EVERY_S = 10.0
-"""Seconds after which freed memory between the streams' arrays goes back to the system: what
-sessions keep lies among what steps free, and as much again would stay"""
+"""Seconds between returns of freed memory to the system: memory that steps free lies between the
+arrays that sessions keep, and would otherwise double what they take"""
 
 
 def work_until_end(link: Link, host: StreamHost) -> None:
-    """Do work in the order in which it comes, looks at channels beside it."""
+    """Do jobs in the order in which they come, with checks of channels in a thread beside them."""
     checks: SimpleQueue[tuple[int, Check]] = SimpleQueue()
     threading.Thread(target=_check_forever, args=(link, host, checks), daemon=True).start()
     tidied = time.monotonic()

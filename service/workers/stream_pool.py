@@ -1,4 +1,4 @@
-"""Where streams are computed: worker processes, each with its share of the sessions."""
+"""The pool that computes streams: worker processes, each with its share of the sessions."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
 
-from service.errors import WorkerLost
+from neuralmusic.errors import WorkerLost
 from service.observability.metrics import Metrics
 from service.streaming.work import Answer, Check, Failed, Outcome, Work
 from service.workers.link import Setup, Unpacker, packed
@@ -19,20 +19,20 @@ log = logging.getLogger(__name__)
 Done = Callable[[Outcome], None]
 
 ENOUGH = 4
-"""Sessions of every worker from which on another one is started: it takes 150 MB and a second"""
+"""Sessions in every worker at which another one is started, which takes 150 MB and a second"""
 STALL_S = 15.0
-"""Seconds without an outcome of work that is due, after which a worker is killed"""
+"""Seconds without an outcome of a job, after which a worker is killed"""
 
 
 @dataclass(slots=True)
 class PendingWork:
-    """Work that a worker has not answered."""
+    """A job without an outcome yet."""
 
     done: Done
     since: float
-    """Seconds of the loop's clock"""
+    """Loop time at which the job was submitted"""
     patient: bool
-    """A look at the channels: it takes turns and may take long"""
+    """Whether the job is a check of the channels: it takes turns and may take long"""
 
 
 class _Channel(asyncio.Protocol):
@@ -50,13 +50,13 @@ class _Channel(asyncio.Protocol):
         self.ended = asyncio.Event()
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes of the worker's."""
+        """Take bytes from the worker."""
         self._unpacker.add(data)
         for message in self._unpacker.messages():
             self._receive(message)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Note that the worker's end is closed, or ours."""
+        """Note that either end of the socket is closed."""
         self.ended.set()
 
 
@@ -77,21 +77,21 @@ class StreamWorker:
         """Of its start"""
         self._answered = 0.0
         self.sessions = 0
-        """That are computed here"""
+        """Sessions computed here"""
         self.retired = False
-        """Takes no more sessions and ends with its last one"""
+        """Whether the worker takes no more sessions and ends with its last one"""
         self.lost = False
         self.ready = asyncio.Event()
 
     def start(self) -> None:
-        """Start the process; work may be submitted at once."""
+        """Start the process; jobs may be submitted at once."""
         self._process = WorkerProcess("service.workers.stream")
         self._deadline = self._loop.call_later(READY_S, self._give_up, READY_S)
         self._unsent.insert(0, packed(self._setup))
         self._reading = self._loop.create_task(self._attend(self._process))
 
     def submit(self, work: Work, done: Done | None = None) -> None:
-        """Have work done; ``done`` is called with what came of it."""
+        """Submit a job; ``done`` is called with its outcome."""
         if self.lost:
             if done is not None:
                 self._loop.call_soon(done, Failed(worker_lost()))
@@ -107,7 +107,7 @@ class StreamWorker:
 
     @property
     def pid(self) -> int | None:
-        """Of the process, once it was started."""
+        """Id of the process, once it has started."""
         return self._process.pid if self._process else None
 
     def watch(self, now: float) -> None:
@@ -120,7 +120,7 @@ class StreamWorker:
     def _give_up(self, seconds: float) -> None:
         """Kill it; whoever waits for it is told, even where the system lets it hang on."""
         assert self._process is not None
-        log.error("stream worker %s gave no sign for %.0f s: it is killed", self.pid, seconds)
+        log.error("stream worker %s made no progress for %.0f s: killed", self.pid, seconds)
         self._process.kill()
         if self._transport is not None:
             self._transport.abort()
@@ -130,7 +130,7 @@ class StreamWorker:
         self.lost = True
         self._come_up()
         if self._transport is not None:
-            # Not close: that waits until all is sent, to a worker that waits until all is read.
+            # A close would wait until all is sent, to a worker that waits until all is read.
             self._transport.abort()
         if self._reading is not None:
             await asyncio.gather(self._reading, return_exceptions=True)
@@ -140,7 +140,7 @@ class StreamWorker:
         self._transport, _ = await self._loop.create_unix_connection(
             lambda: channel, sock=process.connection
         )
-        if self.lost:  # it was asked to end meanwhile
+        if self.lost:  # asked to end meanwhile
             self._transport.abort()
         self._transport.writelines(self._unsent)
         self._unsent.clear()
@@ -170,8 +170,8 @@ class StreamWorker:
 
     def _lose(self) -> None:
         if self.lost:
-            return  # it was asked to end
-        log.error("stream worker %s ended: its streams are closed, clients connect again", self.pid)
+            return  # asked to end
+        log.error("stream worker %s ended: its streams close, clients reconnect", self.pid)
         self.lost = True
         self._metrics.worker_lost("stream")
         self._come_up()
@@ -181,7 +181,7 @@ class StreamWorker:
 
 
 def worker_lost() -> WorkerLost:
-    """What a stream whose worker is gone ends with."""
+    """The error that ends the streams of a lost worker."""
     return WorkerLost("the process that computed this stream ended: connect again")
 
 
@@ -191,23 +191,23 @@ class StreamWorkers:
     Parameters
     ----------
     most : int
-        Processes at a time, retired ones aside.
+        Most processes at a time, retired ones aside.
     metrics : Metrics
-        Told of every work how many seconds it waited and took, and of lost workers.
+        Counts the seconds that each job waited and took, and lost workers.
     """
 
     def __init__(self, most: int, metrics: Metrics) -> None:
         self._most = most
         self._metrics = metrics
         self.setup: Setup | None = None
-        """What new workers run with; set before the first one is needed"""
+        """Settings and models of new workers; set before the first one is needed"""
         self._workers: list[StreamWorker] = []
         self._ending: set[asyncio.Task[None]] = set()
 
     def assign(self) -> StreamWorker:
         """A place at the worker with the fewest sessions, until ``release``.
 
-        Another one is started where all have enough.
+        Another worker is started where all have enough.
         """
         current = self._current()
         if len(current) < self._most and all(each.sessions >= ENOUGH for each in current):
@@ -218,14 +218,14 @@ class StreamWorkers:
         return worker
 
     def release(self, worker: StreamWorker) -> None:
-        """One session of this worker has ended."""
+        """Give back the place of a session that has ended."""
         worker.sessions -= 1
         if worker.retired and worker.sessions == 0:
             self._end(worker)
 
     @property
     def pids(self) -> list[int]:
-        """Of the running processes."""
+        """Ids of the running processes."""
         return [worker.pid for worker in self._workers if worker.pid and not worker.lost]
 
     async def start(self) -> None:
@@ -248,20 +248,20 @@ class StreamWorkers:
             self._started(self.setup)
 
     async def renew(self, setup: Setup) -> None:
-        """Let new sessions go to workers with a new setup; running ones stay where they are.
+        """Send new sessions to workers with a new setup; running ones stay where they are.
 
         Raises
         ------
         WorkerLost
-            If no such worker comes up; all is as before then.
+            If no such worker starts; everything then stays as it was.
         """
         worker = self._started(setup)
-        worker.retired = True  # takes no sessions before it is known to come up
+        worker.retired = True  # takes no sessions until it has started
         await worker.ready.wait()
         if worker.lost:
-            raise WorkerLost("a worker process with the new models ended as it started")
+            raise WorkerLost("a worker process with the new models ended while it started")
         self.setup = setup
-        # Now, since streams that came meanwhile may have started further ones.
+        # Only now: streams that came meanwhile may have started further workers.
         old = [each for each in self._workers if not each.retired]
         worker.retired = False
         for each in old:

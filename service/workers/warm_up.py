@@ -1,18 +1,18 @@
-"""The first stream of a worker, whose results nobody waits for."""
+"""A worker's first stream, whose results nobody waits for."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from neuralmusic.protocol.client_messages import ArrayChoice, AudioFormat, Start
 from service.inference.registry import BundleRegistry
-from service.protocol.client_messages import ArrayChoice, AudioFormat, Start
 from service.streaming.buffer import Piece
 from service.streaming.opening import open_stream
 from service.streaming.work import Open
 
 
 def warm_up(registry: BundleRegistry) -> None:
-    """Run a stream of noise, so that the first robot does not wait for imports and caches."""
+    """Run a stream of noise, so that the first robot need not wait for imports and caches."""
     start = Start(
         type="start",
         audio=AudioFormat(encoding="pcm_s16le", sample_rate=48_000, channels=4),

@@ -126,7 +126,7 @@ SQUARE = ((1, 1, 0), (-1, 1, 0), (-1, -1, 0), (1, -1, 0))
         ({"yaw_deg": "0" * 65}, "option_invalid", "must be a number"),
         ({"exclude_deg": ",".join(["1:2"] * 17)}, "option_invalid", "at most 16 sectors"),
         ({"array": ""}, "option_invalid", "array is empty"),
-        ({"array": '{"positions_m": [[0, 0'}, "option_invalid", "no valid JSON"),
+        ({"array": '{"positions_m": [[0, 0'}, "option_invalid", "not valid JSON"),
         ({"array": "[[0,0,0],[1,0,0]]"}, "option_invalid", "positions_m"),
         ({"array": "[" * 20_000}, "option_invalid", "JSON"),
         ({"array": '{"positions": []}'}, "option_invalid", "no field 'positions'"),

@@ -20,11 +20,11 @@ from hypothesis import strategies as st
 from running_service import RunningService
 from starlette.datastructures import Headers
 
+from neuralmusic.errors import HostRefused, OriginRefused
 from service.access.key_file import new_token, token_sha256
 from service.api.middleware.hosts import check_host, host_name
 from service.api.middleware.origins import check_origin
 from service.app import create_app
-from service.errors import HostRefused, OriginRefused
 from service.inference.registry import BundleRegistry
 from service.settings import Settings
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
+from neuralmusic.cli import main
 from service.app import create_app
-from service.cli import main
 from service.doa.presets import preset
 from service.doa.stft import Stft
 from service.doa.whitening import learn_noise
@@ -89,7 +89,7 @@ def test_an_unknown_profile_and_one_of_another_array_are_refused(
 ) -> None:
     unknown = localize.raw(sounds.wav(), noise="fans")
     assert (unknown.status_code, unknown.json()["code"]) == (422, "noise_unknown")
-    assert "there are motor" in unknown.json()["detail"]
+    assert "stored are motor" in unknown.json()["detail"]
     other = localize.raw(sounds.wav(), noise=stored, array="respeaker-4mic-hat")
     assert (other.status_code, other.json()["code"]) == (422, "noise_mismatch")
 
@@ -156,4 +156,4 @@ def test_the_command_says_what_is_wrong(
     assert not (tmp_path / "n.npz").exists()
     options = ["localize", str(recording), "--array", ARRAY]
     assert main([*options, "--noise", str(recording)]) == 2
-    assert "no noise profile" in capsys.readouterr().err
+    assert "not a noise profile" in capsys.readouterr().err

@@ -21,9 +21,9 @@ import pytest
 import soundfile
 from fastapi.testclient import TestClient
 
+from neuralmusic.errors import UNEXPECTED, InvalidOption
 from service.app import create_app
 from service.audio.recording import AudioLimits
-from service.errors import UNEXPECTED, InvalidOption
 from service.inference.registry import BundleRegistry
 from service.lifecycle import Phase
 from service.recordings.job import HeaderRead, Progress, RecordingJob, Refused, localize_file
@@ -192,7 +192,7 @@ def test_a_worker_that_stalls_is_replaced(service: Any) -> None:
         stalled = running.pid
         response = first.result(PATIENCE)
     assert (response.status_code, response.json()["code"]) == (422, "decoding_failed")
-    assert "no sign for 1 s" in response.json()["detail"]
+    assert "no progress for 1 s" in response.json()["detail"]
     assert running.post().status_code == 200
     assert running.pid != stalled
 
@@ -224,7 +224,7 @@ def silence(seconds: float, channels: int = 4) -> io.BytesIO:
 @pytest.mark.parametrize(
     ("seconds", "options", "says"),
     [
-        (1001, {"hop_s": 0.02}, "at most 50000: take hop_s=0.021 or more"),
+        (1001, {"hop_s": 0.02}, "at most 50000: use hop_s=0.021 or more"),
         (201, {"hop_s": 0.02, "spectrum": 1}, "at most 10000 with spectra"),
     ],
 )

@@ -65,7 +65,7 @@ def service(models: Path) -> Iterator[RunningService]:
 
 
 def version(url: str) -> str:
-    """Of the model that new requests get."""
+    """Version of the model that new requests get."""
     models = httpx2.get(f"{url}/models", timeout=PATIENCE).json()["models"]
     return next(str(model["version"]) for model in models if model["name"] == "robot")
 
@@ -169,7 +169,7 @@ def test_a_hang_up_signal_reloads_and_is_not_lost_during_the_start(bundle: Path)
 import os, signal, sys
 from pathlib import Path
 import service.server
-from service.cli import main
+from neuralmusic.cli import main
 load = service.server.load_registry
 def loaded(settings):
     registry = load(settings)

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from key_file import KeyFile
 
+from neuralmusic.errors import BundleCorrupt, KeyUnknown, ReloadRefused
 from service.api import state as state_module
 from service.api.reloads import Reloads, within
 from service.api.state import ServiceState
-from service.errors import BundleCorrupt, KeyUnknown, ReloadRefused
 from service.inference.registry import BundleRegistry
 from service.settings import Settings
 

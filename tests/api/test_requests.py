@@ -11,9 +11,9 @@ import pytest
 from fastapi.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
+from neuralmusic.errors import BundleNotFound
 from service.api.middleware.request_watch import SHOWN_PATH
 from service.app import create_app
-from service.errors import BundleNotFound
 from service.inference.registry import BundleRegistry
 from service.lifecycle import Phase
 from service.settings import Settings

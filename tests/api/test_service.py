@@ -10,9 +10,9 @@ import anyio
 import pytest
 from fastapi.testclient import TestClient
 
-from service import __version__
+from neuralmusic import __version__
+from neuralmusic.errors import ConfigError
 from service.app import create_app
-from service.errors import ConfigError
 from service.inference.registry import BundleRegistry
 from service.settings import Settings
 

@@ -22,7 +22,7 @@ from opentelemetry.proto.trace.v1.trace_pb2 import Span
 from running_service import RunningService
 from watched_service import ARRAY, PATIENCE, SECONDS, localize, recording, scraped, stream
 
-from service.errors import ConfigError
+from neuralmusic.errors import ConfigError
 from service.observability.traces import Traces
 from service.settings import Settings
 
@@ -43,7 +43,7 @@ class Process:
 
     def __init__(self, tmp_path: Path, *flags: str, first: str = "") -> None:
         self.log = tmp_path / "stderr.txt"
-        program = f"{first}\nfrom service.cli import main; raise SystemExit(main())"
+        program = f"{first}\nfrom neuralmusic.cli import main; raise SystemExit(main())"
         with self.log.open("w") as errors:
             self._process = subprocess.Popen(
                 [
@@ -101,7 +101,7 @@ class Collector:
 
 TRACE = "0af7651916cd43dd8448eb211c80319c"
 BROKEN = "import service.api.page as page; page.page_files = None"
-"""Makes a defect of the page's style sheet"""
+"""Program that turns the page's style sheet into an unexpected error"""
 
 
 @dataclass(frozen=True)
@@ -252,5 +252,5 @@ def test_traces_without_the_extra_say_what_to_install(
     monkeypatch: pytest.MonkeyPatch, missing: str
 ) -> None:
     monkeypatch.setitem(sys.modules, missing, None)
-    with pytest.raises(ConfigError, match=r"pip install 'neuralmusic\[otel\]'"):
+    with pytest.raises(ConfigError, match=r"pip install \./client '\.\[otel\]'"):
         Traces("http://localhost:4318")

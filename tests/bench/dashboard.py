@@ -3,7 +3,7 @@
 ``python tests/bench/dashboard.py docs/dashboard.png`` starts all of it on the loopback, runs every
 query of every panel of ``docker/grafana/dashboards/neuralmusic.json``, fails where a panel would be
 empty, and draws the panels in the dashboard's own layout. It needs the binary ``prometheus``
-(Debian's package) and ``neuralmusic[dev]``.
+(Debian's package) and ``make install``.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ RULES = ROOT / "docker" / "prometheus" / "rules.yml"
 RECORDING = ROOT / "examples" / "two-talkers.flac"
 ARRAY = "respeaker-usb-4mic-v2"
 RATE_INTERVAL = "15s"
-"""What ``$__rate_interval`` is at a scrape a second"""
+"""Value of ``$__rate_interval`` at a scrape a second"""
 PATIENCE_S = 30
 FLOOD_S = 4.0
 TAIL_S = 3.0
-"""Before the end of the load, at which the picture ends"""
+"""Seconds before the end of the load at which the picture ends"""
 MISTAKES: tuple[tuple[bytes, dict[str, str]], ...] = (
     (b"no audio at all", {"array": ARRAY}),
     (b"RIFF", {"array": "nobody's"}),
@@ -64,8 +64,8 @@ def running(command: list[str], **options: Any) -> Iterator[subprocess.Popen[str
 @contextmanager
 def service(settings: list[str], log: Path) -> Iterator[str]:
     """A service on a free port; its address."""
-    command = [sys.executable, "-c", "from service.cli import main; raise SystemExit(main())"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", "from neuralmusic.cli import main; raise SystemExit(main())"]
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT / 'client'}:{ROOT}"}
     with (
         log.open("w") as errors,
         running(

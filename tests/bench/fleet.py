@@ -19,17 +19,17 @@ from typing import Any
 import numpy as np
 import soundfile
 
-from service.client import AsyncStreamClient
-from service.client.errors import ClientError
-from service.client.inbox import Reconnecting
-from service.errors import DoaError
-from service.protocol.server_messages import (
+from neuralmusic import AsyncStreamClient
+from neuralmusic.client_errors import ClientError
+from neuralmusic.errors import DoaError
+from neuralmusic.protocol.server_messages import (
     Calibrated,
     Ready,
     Result,
     StreamError,
     StreamWarning,
 )
+from neuralmusic.streams.inbox import Reconnecting
 
 RATE = 16_000
 ARRAY = "respeaker-usb-4mic-v2"
@@ -67,7 +67,7 @@ class Robot:
     warnings: list[StreamWarning] = field(default_factory=list)
     calibrated: list[Calibrated] = field(default_factory=list)
     failure: DoaError | None = None
-    """What the client gave up with"""
+    """Error with which the client gave up"""
     stream: AsyncStreamClient | None = None
     began: float = 0.0
 

@@ -24,13 +24,13 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 ARRAY = "respeaker-usb-4mic-v2"
 WINDOWS = 3
-"""Of a turn"""
+"""Windows in a turn"""
 STREAMS = 8
-"""That take a step each in a turn: what one leaves in the cache is not all for the next"""
+"""Streams that take a step each in a turn, so that caches are as cold as in a service"""
 WARM_UP = 15
 
 Work = Literal["window", "classical", "step"]
-"""A neural window, one of NormMUSIC in 257 bins, a stream's 100 ms"""
+"""Kinds of work: a neural window, one of NormMUSIC in 257 bins, 100 ms of a stream"""
 
 
 class Turns:
@@ -40,7 +40,7 @@ class Turns:
         threads = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         self._process = subprocess.Popen(
             [sys.executable, checkout / "tests/bench/pairs.py", checkout, "--turns", work],
-            env={**os.environ, **threads, "PYTHONPATH": str(checkout)},
+            env={**os.environ, **threads, "PYTHONPATH": f"{checkout / 'client'}:{checkout}"},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -121,10 +121,10 @@ def _windows(work: Work) -> Iterator[Callable[[], int]]:
 def _steps() -> Iterator[Callable[[], int]]:
     import soundfile
 
+    from neuralmusic.protocol.client_messages import OutputOptions
     from service.bench.window import bench_pieces, bench_pipeline
     from service.doa.presets import preset
     from service.inference.bundle import load_bundle
-    from service.protocol.client_messages import OutputOptions
 
     bundle, array = load_bundle(ROOT / "service/models/any-array"), preset(ARRAY)
     audio, _ = soundfile.read(ROOT / "examples/two-talkers.flac", dtype="float32")

@@ -33,7 +33,7 @@ from websockets.asyncio.client import connect
 INTERVAL_MS = 100
 LAG_BOUND_MS = 250
 RECORDINGS = 3
-"""Of one length, one after the other"""
+"""Files of one length, one after the other"""
 PART_S = 60
 """An hour's file is written minute by minute"""
 

@@ -34,7 +34,7 @@ backend replicas
 
 
 def installed() -> str | None:
-    """Where HAProxy is."""
+    """Path of HAProxy."""
     return shutil.which("haproxy")
 
 
@@ -44,7 +44,7 @@ class Proxy:
     Parameters
     ----------
     ports : sequence of int
-        Of the replicas, on loopback.
+        Ports of the replicas, on loopback.
     host : str
         Address to listen on.
     within : sequence of str

@@ -67,7 +67,7 @@ def demands(n: int) -> dict[str, tuple[float, float]]:
 
 
 def network_operations() -> float:
-    """Of the convolutions of the embedded covariance network over a window."""
+    """Operations of the convolutions of the embedded covariance network over a window."""
     path = EMBEDDED_MODELS / "any-array" / "covariance.onnx"
     graph = onnx.shape_inference.infer_shapes(onnx.load(path)).graph
     kernels = {each.name: each.dims for each in graph.initializer}
@@ -80,7 +80,7 @@ def network_operations() -> float:
 
 
 def peak_gflops() -> float:
-    """Of one thread, float32: the best of BLAS on large matrices and of a large convolution."""
+    """Float32 peak of one thread: the best of BLAS on large matrices and of a large convolution."""
     rng, side, channels = np.random.default_rng(0), 1024, 64
     matrix = rng.random((side, side), dtype=np.float32)
     image = rng.random((1, channels, 64, 64), dtype=np.float32)
@@ -109,7 +109,7 @@ def _convolution(channels: int) -> bytes:
 
 
 def peak_gigabytes() -> float:
-    """Of one thread: reading and writing what no cache of one core holds."""
+    """Memory bandwidth of one thread: reading and writing more than a core's cache holds."""
     source = np.zeros(16 * 2**20, dtype=np.float32)
     target = np.empty_like(source)
     return 2 * source.nbytes / _least_s(lambda: np.copyto(target, source)) / 1e9

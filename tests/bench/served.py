@@ -27,16 +27,16 @@ MARK = " serves on "
 
 @dataclass(frozen=True, slots=True)
 class Footprint:
-    """Of the service and its workers together, or of the service alone."""
+    """Resources of the service and its workers together, or of the service alone."""
 
     processes: int
     pss_mb: float
-    """Memory with shared pages divided among those that share them: it adds up"""
+    """Memory with shared pages divided among their processes, so that it adds up"""
     heap_mb: float
-    """That the service's own process allocated"""
+    """Memory that the service's own process allocated"""
     threads: int
     files: int
-    """Open ones, sockets included"""
+    """Open files, sockets included"""
     sockets: int
 
     def as_dict(self) -> dict[str, float]:
@@ -49,7 +49,7 @@ class Served:
     Parameters
     ----------
     *flags : str
-        Of ``neuralmusic serve``; the port is a free one unless it is given.
+        Flags of ``neuralmusic serve``; the port is free unless it is given.
     environment : mapping, optional
         Further variables.
     within : sequence of str
@@ -68,7 +68,7 @@ class Served:
             [*within, COMMAND, "serve", *port, "--log-level", "warning", *flags],
             stdout=subprocess.PIPE,
             stderr=self._log,
-            env={**os.environ, "PYTHONPATH": str(ROOT), **(environment or {})},
+            env={**os.environ, "PYTHONPATH": f"{ROOT / 'client'}:{ROOT}", **(environment or {})},
             text=True,
         )
         self.pid = self.process.pid
@@ -158,7 +158,7 @@ def children(pid: int) -> list[int]:
 
 
 def command_line(pid: int) -> str:
-    """Of a process, empty once it ended."""
+    """Command line of a process, empty once it has ended."""
     with suppress(OSError):
         return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
     return ""
@@ -183,7 +183,7 @@ def heap_mb(pid: int) -> float:
 
 
 def threads(pid: int) -> int:
-    """Of a process."""
+    """Number of threads of a process."""
     return len(_listed(f"/proc/{pid}/task"))
 
 

@@ -35,17 +35,17 @@ from reliability import write_table
 from scipy.stats import theilslopes
 from served import Footprint, Served
 
-from service.errors import DoaError
+from neuralmusic.errors import DoaError
 
 SAMPLE_S = 5.0
 WARM_UP = 1 / 6
-"""Of the time, at least half a minute: caches, the first of every kind of request"""
+"""Share of the time, at least half a minute, in which caches fill and first requests come"""
 MB_AN_HOUR = 1.0
 TELLS_SLOPES_S = 600.0
-"""A shorter run is judged by the memory at rest"""
+"""Seconds from which slopes are judged; a shorter run is judged by its memory at rest"""
 MB_AT_REST = 20.0
 RELOADS = 5
-"""After which the allocator has all that reloads ever fragment (measured: 40 MB)"""
+"""Reloads after which the allocator has all that reloads ever fragment (measured: 40 MB)"""
 SETTLE_S = 60.0
 OPTIONS = (
     {"interval_ms": 50},
@@ -62,12 +62,12 @@ class Sample:
     t: float
     """Seconds from the beginning"""
     service_mb: float
-    """That the service's own process allocated"""
+    """Memory that the service's own process allocated"""
     whole_mb: float
     """PSS of the service and all workers"""
     processes: int
     threads: int
-    """Of the service's own process, as are files and sockets"""
+    """Threads of the service's own process, as are files and sockets"""
     files: int
     sockets: int
     sessions: int
@@ -84,7 +84,7 @@ class Soak:
     robots : int
     seconds : float
     seed : int
-        Of everything that is drawn.
+        Seed of all random choices.
     """
 
     def __init__(self, service: Served, robots: int, seconds: float, seed: int) -> None:

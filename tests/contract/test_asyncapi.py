@@ -9,14 +9,15 @@ from typing import Any, get_args
 import pytest
 from fastapi.testclient import TestClient
 from jsonschema import Draft202012Validator
+from shown_answers import shown_objects
 
+from neuralmusic.protocol.client_messages import CLIENT_MESSAGES
+from neuralmusic.protocol.message import message_type
+from neuralmusic.protocol.server_messages import SERVER_MESSAGES, WarningCode
+from service.api.contract.asyncapi import document_json, renewed
 from service.app import create_app
 from service.doa.diagnostics.finding import FindingCode
 from service.inference.registry import BundleRegistry
-from service.protocol.asyncapi import document_json, renewed
-from service.protocol.client_messages import CLIENT_MESSAGES
-from service.protocol.message import message_type
-from service.protocol.server_messages import SERVER_MESSAGES, WarningCode
 from service.settings import Settings
 
 ROOT = Path(__file__).parents[2]
@@ -35,13 +36,13 @@ def validator(document: Any, message: str) -> Draft202012Validator:
 
 def test_the_checked_in_document_is_the_models() -> None:
     assert ASYNCAPI.read_text() == document_json(), (
-        "run: python -m service.protocol.asyncapi > asyncapi.json"
+        "run: python -m service.api.contract.asyncapi > asyncapi.json"
     )
 
 
 def test_the_tables_of_the_protocol_are_the_models() -> None:
     text = (ROOT / "docs" / "protocol.md").read_text()
-    assert text == renewed(text), "run: python -m service.protocol.asyncapi docs/protocol.md"
+    assert text == renewed(text), "run: python -m service.api.contract.asyncapi docs/protocol.md"
 
 
 def test_every_message_is_in_the_channel_and_in_one_operation(document: Any) -> None:
@@ -86,12 +87,14 @@ def test_the_schemas_say_what_is_accepted(document: Any, message: Any, accepted:
 
 
 def test_the_protocol_document_shows_messages_that_are_valid(document: Any) -> None:
-    """The example of ``start`` in the text, with its comments taken out."""
-    text = (ROOT / "docs" / "protocol.md").read_text()
-    for block in text.split("```jsonc\n")[1:]:
-        lines = [line.split(" // ")[0] for line in block.split("```")[0].splitlines()]
-        message = json.loads("\n".join(lines))
-        validator(document, message["type"]).validate(message)
+    shown = shown_objects((ROOT / "docs" / "protocol.md").read_text())
+    messages = [each for each in shown if each["type"] in document["components"]["messages"]]
+    assert {"start", "update", "flush", "ping", "calibrate", "stop"} < {
+        message["type"] for message in messages
+    }
+    for message in messages:
+        if "…" not in json.dumps(message, ensure_ascii=False):
+            validator(document, message["type"]).validate(message)
 
 
 def test_the_service_serves_the_document() -> None:

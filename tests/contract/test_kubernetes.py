@@ -21,7 +21,7 @@ BY_KIND = {manifest["kind"]: manifest for manifest in MANIFESTS}
 POD = BY_KIND["Deployment"]["spec"]["template"]
 (CONTAINER,) = POD["spec"]["containers"]
 OLDEST = "1.30"
-"""From which on a preStop may sleep by itself"""
+"""First version in which a preStop may sleep by itself"""
 
 
 @pytest.mark.parametrize("manifest", MANIFESTS, ids=lambda manifest: manifest["kind"])

@@ -21,7 +21,7 @@ DOCUMENT = (ROOT / "docs" / "monitoring.md").read_text()
 RULES = ROOT / "docker" / "prometheus" / "rules.yml"
 DASHBOARD = ROOT / "docker" / "grafana" / "dashboards" / "neuralmusic.json"
 COLUMNS = 24
-"""Of Grafana's grid"""
+"""Columns of Grafana's grid"""
 
 
 def registry_metrics() -> dict[str, tuple[str, tuple[str, ...]]]:

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 import yaml
 
-from service.client.errors import ClientError
-from service.errors import (
+from neuralmusic.client_errors import ClientError
+from neuralmusic.errors import (
     BundleError,
     ConfigError,
     DoaError,

@@ -29,11 +29,11 @@ from jsonschema import Draft202012Validator
 from running_service import RunningService
 from websockets.sync.client import connect
 
+from neuralmusic.errors import BundleNotFound
 from service.access.key_file import Key, new_token, token_sha256
 from service.doa.presets import preset
 from service.doa.stft import Stft
 from service.doa.whitening import NoiseCovariance
-from service.errors import BundleNotFound
 from service.inference.noise_profile import noise_bytes
 from service.inference.noise_store import NoiseStore
 from service.lifecycle import Lifecycle, Phase
@@ -58,7 +58,7 @@ class Subject:
     service: RunningService
     client: httpx2.Client
     guarded: httpx2.Client
-    """Of another service, which has keys and waits for no body"""
+    """Client of another service, which has keys and waits for no body"""
 
     def localize(self, content: bytes, media_type: str = "audio/wav") -> httpx2.Response:
         parameters = {"array": ARRAY, "method": "music"}
@@ -273,7 +273,7 @@ REQUESTS: dict[tuple[str, str, int], Ask] = dict(refusals()) | {
     ("get", "/metrics", 200): ask("GET", "/metrics"),
     ("get", "/", 200): ask("GET", "/"),
 }
-"""By method, path and status: a request that gets it"""
+"""Requests by the method, path and status that they get"""
 
 DOCUMENTED = {
     (method, path, int(status)): response

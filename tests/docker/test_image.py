@@ -16,7 +16,7 @@ from container_engine import ROOT, docker
 from container_images import size_bytes
 from running_containers import ARRAY, SAMPLE, TALKERS_DEG, Container, wait_for
 
-from service.client import LocalizationClient
+from neuralmusic import LocalizationClient
 
 pytestmark = pytest.mark.docker
 
@@ -48,9 +48,10 @@ def directions(url: str, recording: Path | bytes) -> list[float]:
 def test_it_holds_no_compiler_no_installer_and_no_training_code(image: str) -> None:
     found = inside(image, "sh", "-c", f"for each in {UNWANTED}; do command -v $each; done; true")
     assert found == ""
-    names = ("torch", "model_export", "pip", "pytest", "matplotlib", "onnx", "service")
+    ours = ("service", "neuralmusic")
+    names = ("torch", "model_export", "pip", "pytest", "matplotlib", "onnx", *ours)
     ask = f"import importlib.util as u; print(*[n for n in {names} if u.find_spec(n)])"
-    assert inside(image, "python3", "-c", ask) == "service"
+    assert inside(image, "python3", "-c", ask) == "service neuralmusic"
 
 
 def test_it_is_small(image: str) -> None:

@@ -86,7 +86,7 @@ def test_with_keys_prometheus_has_one_and_strangers_have_none(
 
 def new_key(file: Path, name: str, roles: str) -> str:
     """A new key's token; the file has its line."""
-    program = (sys.executable, "-c", "from service.cli import main; main()")
+    program = (sys.executable, "-m", "neuralmusic")
     printed = run(*program, "key", "new", name, "--roles", roles, "--file", str(file))
     (token,) = re.findall(r"^token: (\S+)$", printed, re.M)
     return str(token)

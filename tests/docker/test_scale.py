@@ -14,7 +14,7 @@ import pytest
 import soundfile
 from running_containers import ARRAY, SAMPLE, ComposeProject, wait_for
 
-from service.client import (
+from neuralmusic import (
     AsyncLocalizationClient,
     AsyncStreamClient,
     Backoff,
@@ -22,8 +22,8 @@ from service.client import (
     Reconnecting,
     ServiceProblem,
 )
-from service.errors import DoaError
-from service.protocol.server_messages import Closing, Ready, Result, Summary
+from neuralmusic.errors import DoaError
+from neuralmusic.protocol.server_messages import Closing, Ready, Result, Summary
 
 pytestmark = pytest.mark.docker
 
@@ -67,7 +67,7 @@ class Load:
     cut: int = 0
     """Sessions that ended before the client wanted it"""
     told: int = 0
-    """Of those, how many got their summary and were told why"""
+    """Cut sessions that got their summary and were told why"""
 
     async def upload(self, recording: bytes, *, one_connection: bool) -> None:
         """One recording after the other, over the same connection or always a new one."""

@@ -10,7 +10,7 @@ import soundfile
 from container_engine import run
 from running_containers import ARRAY, SAMPLE, TALKERS_DEG, ComposeProject, wait_for
 
-from service.client import LocalizationClient, StreamClient
+from neuralmusic import LocalizationClient, StreamClient
 
 pytestmark = pytest.mark.docker
 

@@ -61,7 +61,7 @@ class Visit:
     elsewhere: list[str] = field(default_factory=list)
     """Requests to anything but the service"""
     refusals: int = 0
-    """How many answers of 4xx the test provokes: the browser itself reports each"""
+    """Number of 4xx answers that the test provokes; the browser itself reports each"""
 
     def on_console(self, message: Any) -> None:
         if message.type in ("warning", "error"):

@@ -106,7 +106,7 @@ def test_a_wrong_key_says_so_and_one_without_the_role_may_be_changed(visit: Visi
     page.locator("#health", has_text="ready").wait_for()
     page.set_input_files("#file", SAMPLE)
     page.click("#localize")
-    expect(page.locator("#problem .detail")).to_contain_text("the key watcher is good for watch")
+    expect(page.locator("#problem .detail")).to_contain_text("the key watcher has watch")
     expect(page.locator("#key-form")).to_be_visible()
     give(here, WHOLE)
     here.localize(SAMPLE)

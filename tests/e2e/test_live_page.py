@@ -18,9 +18,8 @@ import numpy as np
 import pytest
 import soundfile
 
-from service.doa.array import MicrophoneArray
-from service.protocol.client_messages import Start, read_client_message
-from service.protocol.server_messages import (
+from neuralmusic.protocol.client_messages import Start, read_client_message
+from neuralmusic.protocol.server_messages import (
     Closing,
     Limits,
     Ready,
@@ -35,6 +34,7 @@ from service.protocol.server_messages import (
     Summary,
     Timing,
 )
+from service.doa.array import MicrophoneArray
 
 expect = pytest.importorskip("playwright.sync_api", reason="needs playwright").expect
 pytestmark = pytest.mark.page
@@ -150,7 +150,7 @@ def test_the_commands_that_the_page_prints_work(visit: Visits) -> None:
     here = open_live(visit, [])
     commands = here.page.locator("#howto-command")
     expect(commands).to_contain_text("--list-devices")
-    program = [sys.executable, "-c", "from service.cli import main; main()"]
+    program = [sys.executable, "-m", "neuralmusic"]
     *_, printed = commands.inner_text().splitlines()
     # Where there is no microphone array, a file does.
     words = shlex.split(printed.replace("--device NAME", str(SAMPLE)))[1:]

@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 TALKERS_DEG = (45.0, 200.0)
-"""Of examples/two-talkers.flac, as ``model_export.simulation.sample`` places them"""
+"""Azimuths in examples/two-talkers.flac, from ``model_export.simulation.sample``"""
 
 
 def printed_curl_line() -> str:

@@ -31,7 +31,7 @@ ATTACKS = {
     "half a frame": (HANDSHAKE + frame(0x82, bytes(8), 4096), b"x", 40),
     "silence": (b"", b"", 10),
 }
-"""What is sent at once, what then drips, and the seconds after which it should be over"""
+"""Bytes sent at once, bytes that then drip, and the seconds after which it should be over"""
 
 
 async def drip(port: int, first: bytes, byte: bytes) -> float:

@@ -20,9 +20,9 @@ pytestmark = pytest.mark.faults
 
 ROBOTS = 10
 BACK_S = 10.0
-"""In which every robot that was cut must hear something again"""
+"""Seconds within which every robot that was cut must get a message again"""
 IDLE_THREADS = 2
-"""Of asyncio's pool, which keeps what it started"""
+"""Threads of asyncio's pool, which keeps those it started"""
 AFTER = 20
 """Results that every robot must get after the fault"""
 

@@ -43,9 +43,9 @@ class Conversation:
     what: str
     handshake: bytes
     content: bytes
-    """What follows an accepted handshake"""
+    """Bytes after an accepted handshake"""
     patient: bool = False
-    """The server may have to wait for the rest: the client goes, and nothing may be left"""
+    """Whether the server may have to wait for the rest: the client then leaves"""
 
 
 def conversation(index: int) -> Conversation:

@@ -16,7 +16,7 @@ NUMBERS = (
     *(2**24 - 1, 2**31 - 256, 2**31 - 1, 2**31, 2**31 + 1, 2**32 - 8, 2**32 - 2, 2**32 - 1),
     *(2**33, 2**48, 2**62, 2**63 - 1, 2**63, 2**64 - 1),
 )
-"""Those at which readers of headers go wrong"""
+"""Numbers at which readers of headers go wrong"""
 IDS = (
     *(b"RIFF", b"RIFX", b"RF64", b"BW64", b"WAVE", b"fmt ", b"data", b"ds64", b"LIST", b"fact"),
     *(b"bext", b"cart", b"cue ", b"smpl", b"inst", b"PEAK", b"id3 ", b"ID3\x04", b"JUNK", b"acid"),
@@ -161,6 +161,6 @@ def damaged(content: bytes, random: Random) -> tuple[bytes, str]:
 
 
 def piece(content: bytes, random: Random) -> tuple[int, int]:
-    """Where a piece begins and ends."""
+    """Start and end of a piece."""
     begin = random.randrange(len(content) + 1)
     return begin, min(len(content), begin + random.choice((1, 2, 4, 8, 36, 512, 4096)))

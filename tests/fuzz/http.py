@@ -13,7 +13,7 @@ class Answer:
 
     status: int
     headers: Mapping[str, str]
-    """By their names in lower case"""
+    """Headers by their names in lower case"""
     content: bytes
 
 

@@ -8,16 +8,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import service.client.errors  # noqa: F401  (part of the tree)
-from service.errors import DoaError
+import neuralmusic.client_errors  # noqa: F401  (part of the tree)
+from neuralmusic.errors import DoaError
 from service.recordings.answers import LocalizationAnswer
 
 from .http import Answer
 
 PROMPT_S = 2.0
-"""Seconds in which everything is answered"""
+"""Seconds within which everything must be answered"""
 SHOWN = 10
-"""Failures that a test tells of"""
+"""Most failures that a test reports"""
 
 
 def problems(error: type[DoaError] = DoaError) -> dict[str, int]:
@@ -74,7 +74,7 @@ class Tally:
     outcomes: Counter[str] = field(default_factory=Counter)
     slowest: list[tuple[float, str]] = field(default_factory=list)
     repeated: int = 0
-    """Slow ones that were prompt when repeated alone"""
+    """Slow answers that were prompt when repeated alone"""
     failures: list[str] = field(default_factory=list)
 
     def count(self, outcome: str, seconds: float, what: str) -> None:

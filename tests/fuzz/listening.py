@@ -12,14 +12,14 @@ from typing import Any
 
 from jsonschema import Draft202012Validator
 
-from service.protocol.close_codes import CloseCode
+from neuralmusic.protocol.close_codes import CloseCode
 
 from .conversations import Conversation
 from .frames import CLOSE, PONG, TEXT, close, take_frames
 
 DOCUMENT = json.loads((Path(__file__).parents[2] / "asyncapi.json").read_text())
 BY_RFC_6455 = {1002, 1007, 1009}
-"""Close codes for frames that are none, which no message precedes"""
+"""Close codes for invalid frames, which no message precedes"""
 DEFECTS = {"internal", "worker_lost"}
 
 
@@ -28,13 +28,13 @@ class Said:
     """Everything that came from the server."""
 
     status: int | None = None
-    """Of the handshake's response; None where none came"""
+    """Status of the handshake's response; None where none came"""
     head: str = ""
     messages: list[dict[str, Any]] = field(default_factory=list)
     close_code: int | None = None
-    """1005 where the close frame had none; None where none came"""
+    """Code of the close frame, 1005 where it had none; None where no frame came"""
     ended: bool = False
-    """The server closed, or refused the handshake"""
+    """Whether the server closed, or refused the handshake"""
 
     @property
     def outcome(self) -> str:
@@ -110,6 +110,6 @@ def complaint(said: Said, each: Conversation) -> str | None:
 
 @cache
 def validator(kind: str) -> Draft202012Validator:
-    """Of one kind of message."""
+    """Validator of one kind of message."""
     payload = DOCUMENT["components"]["messages"][kind]["payload"]
     return Draft202012Validator({**payload, "components": DOCUMENT["components"]})

@@ -7,7 +7,7 @@ from copy import deepcopy
 from random import Random
 from typing import Any
 
-from service.protocol.client_messages import OutputOptions
+from neuralmusic.protocol.client_messages import OutputOptions
 
 from .seeds import SQUARE
 

@@ -9,9 +9,9 @@ import httpx2
 from .served import PATIENCE_S, Footprint, Served
 
 MEMORY_MB = 20.0
-"""That may be more than before"""
+"""Most memory, in MB, above the amount before"""
 ALIKE = 10
-"""Looks that have to be alike"""
+"""Successive looks that must be alike"""
 
 
 def settled(served: Served) -> Footprint:

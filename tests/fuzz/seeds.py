@@ -60,9 +60,9 @@ FORMATS: tuple[tuple[str, str, int, int], ...] = (
     ("WVE", "ALAW", 1, 8_000),
     ("XI", "DPCM_16", 1, 16_000),
 )
-"""Format, subtype, channels and hertz of everything that libsndfile tells by its first bytes"""
+"""Format, subtype, channels and hertz of all files that libsndfile tells by their first bytes"""
 USUAL = ("WAV", "WAVEX", "RIFX", "RF64", "BW64", "FLAC", "OGG", "AIFF", "AU", "CAF", "W64")
-"""What robots send: these are damaged twice as often"""
+"""Formats that robots send; they are damaged twice as often"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 ROOT = Path(__file__).parents[2]
-COMMAND = (sys.executable, "-c", "from service.cli import main; main()", "serve", "--port", "0")
+COMMAND = (sys.executable, "-m", "neuralmusic", "serve", "--port", "0")
 PATIENCE_S = 60.0
 """Seconds until a service that hangs fails a test"""
 
@@ -22,11 +22,11 @@ class Footprint:
     """What all processes of a service hold together."""
 
     memory_mb: float
-    """Anonymous: programs and libraries are shared with whatever else runs on the machine"""
+    """Anonymous memory: the machine's other programs share code and libraries"""
     processes: int
     threads: int
     files: int
-    """Sockets and pipes included"""
+    """Open files, sockets and pipes included"""
     temporary_files: int
 
     def __str__(self) -> str:
@@ -44,7 +44,7 @@ class Served:
     folder : Path
         Takes the temporary files and the log.
     settings : str
-        By name, as in the environment but for the prefix.
+        Settings by their names in the environment, without the prefix.
     """
 
     def __init__(self, folder: Path, **settings: str) -> None:

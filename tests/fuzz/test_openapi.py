@@ -19,7 +19,7 @@ pytestmark = [
 
 CONFIGURATION = Path(__file__).with_name("schemathesis.toml")
 PROMPT_S = "10"
-"""Seconds for an answer; how long uploads take is judged elsewhere, one at a time"""
+"""Seconds for an answer; other tests judge how long uploads take, one at a time"""
 HANGING_S = 1800
 
 

@@ -20,9 +20,9 @@ pytestmark = pytest.mark.fuzz
 
 CLIENTS = 10
 WARM_UP = 1000
-"""Streams, others than those of the test, before memory is measured"""
+"""Streams before memory is measured, other than those of the test"""
 LISTEN_S = 0.3
-"""Seconds that a client stays whose last bytes leave the server waiting"""
+"""Seconds for which a client stays whose last bytes leave the server waiting"""
 
 
 def test_an_index_is_always_the_same_stream() -> None:

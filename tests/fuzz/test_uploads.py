@@ -21,7 +21,7 @@ pytestmark = pytest.mark.fuzz
 
 CLIENTS = 6
 WARM_UP = 1000
-"""Uploads, others than those of the test, before memory is measured"""
+"""Uploads before memory is measured, other than those of the test"""
 
 
 def test_an_index_is_always_the_same_upload() -> None:

@@ -1,4 +1,4 @@
-"""A corpus of synthetic voices for everything that reads one."""
+"""A corpus of synthetic voices, and a run and a bundle that were trained on it."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import soundfile
 import torch
 
 from model_export.__main__ import main
-from model_export.simulation import array_rooms, rooms
+from model_export.simulation import singles as bank
 from model_export.simulation.synthesis import synthetic_voice
-from model_export.training import train
 
 # The networks here are small, and busy machines run other tests beside them.
 torch.set_num_threads(1)
@@ -36,25 +35,32 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def paper_run(corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def singles(corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bank of a dozen single talkers."""
+    folder = tmp_path_factory.mktemp("singles")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bank, "CHUNK_TALKERS", 12)
+        command = ["singles", "--chunks", "1", "--speech-commands", str(corpus)]
+        assert main([*command, "--out", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="session")
+def paper_run(corpus: Path, singles: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A few steps of both of the paper's stages by the command line, in ``sscl`` and ``paper``."""
     folder = tmp_path_factory.mktemp("runs")
-    command = ["train", "--smoke", "--speech-commands", str(corpus)]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rooms, "CHUNK_ROOMS", 2)
-        patch.setattr(array_rooms, "DIFFUSE_FIELDS", 1)
-        patch.setattr(train, "VALIDATION_BATCHES", 1)
-        first = [*command, "--config", "paper-sscl", "--run", str(folder / "sscl")]
-        assert main(first) == 0
-        second = [*command, "--config", "paper", "--run", str(folder / "paper")]
-        assert main([*second, "--init", str(folder / "sscl")]) == 0
+    command = ["train", "--smoke", "--speech-commands", str(corpus), "--singles", str(singles)]
+    first = [*command, "--config", "paper-sscl", "--run", str(folder / "sscl")]
+    assert main(first) == 0
+    second = [*command, "--config", "paper", "--run", str(folder / "paper")]
+    assert main([*second, "--init", str(folder / "sscl")]) == 0
     return folder
 
 
 @pytest.fixture(scope="session")
 def paper_bundle(paper_run: Path, corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The supervised stage's run as a bundle of the name ``tiny``."""
+    """The supervised stage's run as a bundle named ``tiny``."""
     out = tmp_path_factory.mktemp("bundles") / "tiny"
     command = ["export", "--run", str(paper_run / "paper"), "--out", str(out), "--name", "tiny"]
-    assert main([*command, "--rooms", "unused", "--speech-commands", str(corpus)]) == 0
+    assert main([*command, "--speech-commands", str(corpus)]) == 0
     return out

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import soundfile
 
-pytest.importorskip("ray.serve", reason="needs Ray: pip install 'neuralmusic[ray]'")
+pytest.importorskip("ray.serve", reason="needs Ray: pip install ./client '.[ray]'")
 
 from command_line import run
 from ray_cluster import until
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.ray
 
 RATE = 16_000
 AT_WORK = b"ray::RecordingActor.record"
-"""What Ray calls an actor's process while it localizes"""
+"""Name that Ray gives an actor's process while it localizes"""
 
 
 @pytest.fixture

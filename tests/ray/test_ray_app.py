@@ -18,15 +18,15 @@ import pytest
 import soundfile
 import yaml
 
-pytest.importorskip("ray.serve", reason="needs Ray: pip install 'neuralmusic[ray]'")
+pytest.importorskip("ray.serve", reason="needs Ray: pip install ./client '.[ray]'")
 
 from command_line import run
 from ray_cluster import Deployed, until
 
+from neuralmusic import Backoff, LocalizationClient, Reconnecting, StreamClient
+from neuralmusic.protocol.server_messages import Closing, Ready, Result
 from service import ray_app
-from service.client import Backoff, LocalizationClient, Reconnecting, StreamClient
 from service.doa.array import MicrophoneArray
-from service.protocol.server_messages import Closing, Ready, Result
 
 pytestmark = pytest.mark.ray
 

@@ -14,7 +14,7 @@ from typing import IO
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("docker.io", "docker-compose", "debootstrap")
-"""Debian's; without iptables, which docker.io brings, no port is published"""
+"""Debian's packages; without iptables, which docker.io brings, no port is published"""
 START_S = 60
 MOST_S = 600
 """Seconds after which a command that hangs fails"""
@@ -97,7 +97,7 @@ def engine() -> Iterator[str | None]:
 
 
 def data_root() -> Path:
-    """Where an engine that is started here keeps its images from run to run."""
+    """Folder in which an engine started here keeps its images from run to run."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return cache / "neuralmusic" / "docker"
 

@@ -21,7 +21,7 @@ SERVICE = "neuralmusic"
 CODENAME = "bookworm"
 PULL_S = 300
 STAND_IN = "org.neuralmusic.stand-in"
-"""Label of what is no official image"""
+"""Label of images that are not official"""
 UNWANTED = ("doc", "man", "info", "locale", "lintian", "groff")
 CERTIFICATES = Path("/etc/ssl/certs/ca-certificates.crt")
 OWN_CERTIFICATES = Path("/usr/local/share/ca-certificates")
@@ -167,5 +167,5 @@ def pip_settings() -> str:
 
 
 def size_bytes(image: str) -> int:
-    """Of all layers, as ``docker images`` shows it."""
+    """Bytes of all layers, as ``docker images`` shows them."""
     return int(docker("image", "inspect", "-f", "{{.Size}}", image))

@@ -62,17 +62,17 @@ class Replica:
     id: str
     pid: int
     actor: str
-    """Its name among Ray's actors"""
+    """Name of the replica among Ray's actors"""
 
     @property
     def requests(self) -> int:
-        """That Ray counts as running on it."""
+        """Number of requests that Ray counts as running on the replica."""
         actor = ray.get_actor(self.actor, namespace="serve")
         return int(ray.get(actor.get_num_ongoing_requests.remote(), timeout=LANE_S))
 
     @property
     def log(self) -> str:
-        """In which Ray Serve writes every request that this replica answered."""
+        """Log in which Ray Serve writes every request that this replica answered."""
         folder = Path(worker._global_node.get_session_dir_path(), "logs", "serve")
         return (folder / f"replica_{APP}_{NAME}_{self.id}.log").read_text()
 

@@ -15,7 +15,7 @@ PATIENCE_S = 60.0
 
 SAMPLE = ROOT / "examples" / "two-talkers.flac"
 TALKERS_DEG = (45.0, 200.0)
-"""As README.md states them"""
+"""Commands as README.md states them"""
 ARRAY = "respeaker-usb-4mic-v2"
 
 
@@ -27,7 +27,7 @@ class Container:
 
     @property
     def url(self) -> str:
-        """Where its service is published."""
+        """Address at which its service is published."""
         return f"http://{docker('port', self.id, '8000').split()[0]}"
 
     @property
@@ -60,7 +60,7 @@ class ComposeProject:
     Parameters
     ----------
     name : str
-        Of containers, networks and volumes.
+        Name of containers, networks and volumes.
     files : str
         Compose files' names below ``docker/``.
     **variables
@@ -101,7 +101,7 @@ class ComposeProject:
         return [Container(id) for id in self.compose("ps", "-q", service).split()]
 
     def url(self, service: str, port: int, scheme: str = "http") -> str:
-        """Where a port of a service is published."""
+        """Address at which a port of a service is published."""
         address = self.compose("port", service, str(port)).strip()
         return f"{scheme}://127.0.0.1:{address.rpartition(':')[2]}"
 

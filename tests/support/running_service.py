@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 @contextmanager
 def serving(**settings: str) -> Iterator[str]:
     """The address of a service of its own process on a free port."""
-    command = [sys.executable, "-c", "from service.cli import main; main()", "serve", "--port", "0"]
+    command = [sys.executable, "-m", "neuralmusic", "serve", "--port", "0"]
     # Nobody reads the pipe after the first line: it must not fill up.
     environment = {**os.environ, "NEURALMUSIC_LOG_LEVEL": "warning", **settings}
     with subprocess.Popen(
@@ -47,7 +47,7 @@ from running_service import workers_with_the_first_work
 from service.api.state import ServiceState
 ServiceState.start_workers = workers_with_the_first_work
 """
-"""The same as a program's first lines, for a process of its own"""
+"""First lines of a program that does the same in a process of its own"""
 
 
 class RunningService:
@@ -89,14 +89,14 @@ class RunningService:
 
     @property
     def worker_pids(self) -> list[int]:
-        """Of the processes that compute streams."""
+        """Ids of the processes that compute streams."""
         return self.state.stream_workers.pids
 
     def begin_stop(self) -> None:
         self._server.should_exit = True
 
     def end_delay(self) -> None:
-        """As if the setting ``drain_delay_s`` had passed."""
+        """Proceed as if the setting ``drain_delay_s`` had passed."""
         state = self._app.state.service
         state.settings = state.settings.model_copy(update={"drain_delay_s": 0.0})
 

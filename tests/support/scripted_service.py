@@ -13,9 +13,9 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection, serve
 
-from service.client import Backoff
-from service.protocol import SUBPROTOCOL
-from service.protocol.server_messages import (
+from neuralmusic import Backoff
+from neuralmusic.protocol import SUBPROTOCOL
+from neuralmusic.protocol.server_messages import (
     Closing,
     Limits,
     Ready,

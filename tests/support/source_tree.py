@@ -9,13 +9,18 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-
+FOLDERS = {
+    "neuralmusic": ROOT / "client" / "neuralmusic",
+    "service": ROOT / "service",
+    "model_export": ROOT / "model_export",
+}
+"""Folders by package"""
 
 TOLD = {"shell", "allow_pickle"}
 """Keywords that the tests ask about"""
 
 Call = tuple[str, dict[str, str]]
-"""A call's function and those of its keywords, as they are written"""
+"""Function of a call and the keywords of ``TOLD``, as they are written"""
 
 
 @dataclass(frozen=True)
@@ -23,15 +28,17 @@ class Module:
     """What one module reaches for."""
 
     imports: tuple[str, ...]
-    """At its top or later; ``from a import b`` is ``a.b``"""
+    """Imports at its top or later; ``from a import b`` is ``a.b``"""
     calls: tuple[Call, ...]
 
 
 @cache
 def modules(package: str) -> dict[str, Module]:
     """Modules of a package by their dotted names."""
+    folder = FOLDERS[package]
     return {
-        dotted(path): module(path.read_text()) for path in sorted((ROOT / package).rglob("*.py"))
+        dotted(path.relative_to(folder.parent)): module(path.read_text())
+        for path in sorted(folder.rglob("*.py"))
     }
 
 
@@ -42,7 +49,7 @@ def module(text: str) -> Module:
 
 
 def dotted(path: Path) -> str:
-    parts = path.relative_to(ROOT).with_suffix("").parts
+    parts = path.with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 

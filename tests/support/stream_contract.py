@@ -13,6 +13,6 @@ DOCUMENT = json.loads((Path(__file__).parents[2] / "asyncapi.json").read_text())
 
 @cache
 def validator(kind: str) -> Draft202012Validator:
-    """Of one kind of message."""
+    """Validator of one kind of message."""
     payload = DOCUMENT["components"]["messages"][kind]["payload"]
     return Draft202012Validator({**payload, "components": DOCUMENT["components"]})

@@ -12,8 +12,8 @@ from uvicorn.server import ServerState
 from websockets.client import ClientProtocol
 from websockets.uri import parse_uri
 
+from neuralmusic.errors import ConfigError
 from service.connections import MESSAGES_HELD, StreamProtocol, check_address
-from service.errors import ConfigError
 
 MESSAGES = [bytes([number]) for number in range(3 * MESSAGES_HELD)]
 

@@ -17,9 +17,9 @@ import pytest
 import soundfile
 from scripted_service import TIMEOUT_S, Peer, ScriptedService, result
 
+from neuralmusic.protocol.framing import HEADER
+from neuralmusic.protocol.server_messages import StreamWarning
 from service.doa.array import MicrophoneArray
-from service.protocol.framing import HEADER
-from service.protocol.server_messages import StreamWarning
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -169,7 +169,7 @@ def test_the_ros_node_publishes_poses_stamped_with_the_capture_time(
 
 
 def pose_yaw_deg(pose: Any) -> float:
-    """Of a quaternion about z."""
+    """Yaw in degrees of a quaternion about z."""
     return math.degrees(2 * math.atan2(pose.orientation.z, pose.orientation.w))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import soundfile
 
+from neuralmusic.protocol.client_messages import OutputOptions
 from service.audio.recording import Recording
 from service.bench.window import bench_pieces, bench_pipeline, bench_window, cpu_ms
 from service.doa.array import MicrophoneArray
@@ -20,7 +21,6 @@ from service.doa.presets import preset
 from service.inference.bundle import Bundle
 from service.inference.localizer import localizer_of
 from service.inference.registry import BundleRegistry
-from service.protocol.client_messages import OutputOptions
 from service.recordings.localize import localize_recording
 from service.recordings.results import LocalizeOptions
 
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.costs
 
 SQUARE = preset("respeaker-usb-4mic-v2")
 LINEAR, QUADRATIC = 1.25, 2.2
-"""Exponents, with room for noise"""
+"""Largest exponents, with room for noise"""
 RUNS = 3
 
 
@@ -49,7 +49,7 @@ def least_s(work: Callable[[], object]) -> float:
 
 
 def exponent(sizes: Sequence[float], times: Sequence[float]) -> float:
-    """Of the power law through them, by least squares of the logarithms."""
+    """Exponent of the power law through points, by least squares of the logarithms."""
     return float(np.polyfit(np.log(sizes), np.log(times), 1)[0])
 
 

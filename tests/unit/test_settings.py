@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from neuralmusic.cli import main
+from neuralmusic.errors import ConfigError
 from service.access.key_file import new_token
-from service.cli import main
-from service.errors import ConfigError
 from service.machine.cpus import usable_cpus
 from service.settings import RENAMED, Settings, load_settings, variable
 
@@ -78,7 +78,7 @@ def test_a_wrong_variable_is_refused_with_a_sentence(
     ("flags", "sentence"),
     [
         ({"port": -1}, "port must be at least 0, but is -1 (flag or NEURALMUSIC_PORT)"),
-        ({"traces": "collector:4317"}, "traces must be an address as http://collector:4318"),
+        ({"traces": "collector:4317"}, "traces must be an address such as http://collector:4318"),
         ({"prot": 1}, "unknown flag --prot: did you mean --port?"),
         ({"port": -1, "queue": -1}, "; queue must be at least 0"),
     ],

@@ -1,6 +1,6 @@
 """Scores of the tracker on simulated streams: the command ``tracking``.
 
-Development speakers are for tuning, held-out ones for the document.
+Development speakers serve for tuning, held-out speakers for the document.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from service.inference.stream import stream_localizer_of
 from service.recordings.results import DEFAULT_MAX_SOURCES
 
 INTERVAL_S = 0.1
-"""Between results"""
+"""Seconds between results"""
 WINDOW_SAMPLES = Stft().num_samples(32)
-"""0.528 s, in which a talker must be heard to count"""
+"""Window of 0.528 s, in which a talker must be heard to count"""
 
 Detections = list[tuple[float, list[Detection]]]
-"""By stream time in seconds"""
+"""Pairs of stream time in seconds and detections"""
 
 
 def embedded_estimates() -> Estimates:
-    """The embedded bundle on streams, as the service localizes them."""
+    """Localize streams with the embedded bundle, as the service does."""
     array = preset(ARRAY)
     bundle = BundleRegistry.load().for_array(array)
     if bundle is None:
@@ -62,7 +62,7 @@ def embedded_estimates() -> Estimates:
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """What is heard in one stream and, unless nobody talks, who talks."""
+    """Detections of one stream and its scene; None where nobody talks."""
 
     cell: str
     detections: Detections
@@ -73,7 +73,7 @@ class Stream:
 def simulate_streams(
     speech: Sequence[FloatArray], seed: int, estimates: Estimates, interval: float
 ) -> Iterator[Stream]:
-    """All streams with talkers, then all without."""
+    """Simulate all streams with talkers, then all without."""
     tasks = [(cell, index) for cell in CELLS for index in range(cell.streams)]
     for cell, index in progress(tasks, description="talkers"):
         scene = simulate_stream(cell, speech, seed, index)
@@ -84,14 +84,14 @@ def simulate_streams(
 
 
 def follow(stream: Stream, parameters: TrackerParameters | None = None) -> Iterator[Update]:
-    """A stream's tracks with the truth beside them."""
+    """Track a stream; every update has the truth beside the tracks."""
     tracker = Tracker(parameters)
     for time, detections in stream.detections:
         yield _update(stream, time, tracker.update(detections, time))
 
 
 def untracked(stream: Stream) -> Iterator[Update]:
-    """The detections themselves, each a track of its own: what tracking is compared with."""
+    """Make each detection a track of its own: the baseline of tracking."""
     number = 0
     for time, detections in stream.detections:
         tracks = []

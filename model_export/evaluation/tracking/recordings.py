@@ -1,8 +1,8 @@
 """Tracks of real recordings whose talkers' directions are known.
 
 A folder holds recordings of the evaluation's array and ``labels.json`` with
-``{"recordings": {"FILE": {"azimuth_deg": [...]}}}``; who of the talkers speaks when is not
-labelled, so that tracks are judged by where they are, not by when.
+``{"recordings": {"FILE": {"azimuth_deg": [...]}}}``. The labels do not say who speaks when, so
+tracks are judged by direction, not by time.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from service.doa.types import FloatArray
 
 TOLERANCE = np.deg2rad(15.0)
 LASTING_S = 1.0
-"""Ids that are active for less are not counted as somebody"""
+"""Seconds for which an id must be active to be counted"""
 
 Estimates = Callable[[FloatArray, float], Iterable[tuple[float, list[Detection]]]]
-"""Audio (N, T) at 16 kHz and an interval in seconds to what is heard at each moment"""
+"""Turns audio (N, T) at 16 kHz and an interval in seconds into times and detections"""
 
 
 @dataclass(frozen=True, slots=True)
 class RealTracks:
-    """What is reported over one recording."""
+    """Counts of what is reported over one recording."""
 
     talkers: int
     reported: int
     """Active tracks of all results"""
     near: int
-    """Of those, within 15 degrees of a talker"""
+    """Reported tracks within 15 degrees of a talker"""
     ids: int
-    """That lasted"""
+    """Ids that were active for ``LASTING_S`` or longer"""
 
 
 def real_tracks(folder: Path, estimates: Estimates, interval: float) -> dict[str, RealTracks]:
@@ -62,7 +62,7 @@ def real_tracks(folder: Path, estimates: Estimates, interval: float) -> dict[str
 def _read(path: Path) -> FloatArray:
     audio, rate = soundfile.read(path, dtype="float32", always_2d=True)
     if rate != SAMPLE_RATE:
-        raise ValueError(f"{path} has {rate} Hz, {SAMPLE_RATE} are needed: resample it")
+        raise ValueError(f"{path} is at {rate} Hz: resample it to {SAMPLE_RATE} Hz")
     channels: FloatArray = np.ascontiguousarray(audio.T)
     return channels
 

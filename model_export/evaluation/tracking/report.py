@@ -1,4 +1,4 @@
-"""The document of an evaluation of the tracker: tables, bars, and how they came about."""
+"""The document of an evaluation of the tracker: tables, bars, and how they were measured."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ python -m model_export tracking --librispeech LIBRISPEECH --recordings FOLDER
 The embedded bundle `any-array` localizes streams as the service does, ten times a second and the
 number of sources unknown; its detections go through `service.doa.tracking.Tracker` with its default
 parameters. Only active tracks are scored, against where the talkers are at the moment of the
-result. The parameters were chosen on the training and {tuned} speakers with other seeds, the
-figures here are of the {split} ones.
+result. The parameters were chosen on the training and {tuned} speakers with other seeds; the
+figures here are from {split} speakers.
 
 The array is the ReSpeaker square in a room of 6 x 5 x 3 m; talkers read LibriSpeech sentences
 with their pauses at {snr:g} dB against white sensor noise, after {lead:g} s of noise alone. Two who
-stand are 1.5 m away, as loud as each other, and begin at the same moment; updates count in which
-both talk (no more than 20 dB below their active levels in the window). One walks past at 15 to 40
-degrees a second, 1 to 1.6 m away; two cross from about 110 degrees apart within 2.5 to 4 s. A room
-response is simulated every two degrees of a path. A talker is missed if no track is within 10
-degrees, and a track is a talker's within 20; identity switches are counted over all streams of a
-cell. The first track is late against the first sample a tenth as loud as the loudest one, and can
-come only with the next of ten results a second.
+stand are 1.5 m away, equally loud, and begin at the same moment; an update counts if both talk in
+its window (no more than 20 dB below their active levels). One walks past at 15 to 40 degrees a
+second, 1 to 1.6 m away; two cross from about 110 degrees apart within 2.5 to 4 s. A room response
+is simulated every two degrees of a path. A talker is missed if no track is within 10 degrees; a
+track belongs to a talker within 20 degrees. Identity switches are counted over all streams of a
+cell. The time to the first track starts at the first sample a tenth as loud as the loudest one;
+tracks come with results, ten a second.
 """
 
 REAL = """## Real recordings
@@ -51,8 +51,8 @@ who speaks when is not labelled (`--recordings FOLDER`).
 
 PEERS = """
 ODAS and NormMUSIC (pyroomacoustics, told that there are two talkers) were measured on two talkers
-of the same kind (room, distance, SNR, array, angles; 74 windows a cell, other sentences), so their
-figures are bars and no comparison in the same run.
+of the same kind (room, distance, SNR, array, angles; 74 windows a cell, other sentences). Their
+figures are bars, not a comparison in the same run.
 """
 
 
@@ -62,7 +62,7 @@ def document(
     split: Split,
     real: Mapping[str, RealTracks] | None = None,
 ) -> str:
-    """The text of ``docs/tracking.md``; ``real`` are recordings that were followed, too."""
+    """The text of ``docs/tracking.md``; ``real`` holds the tracks of real recordings."""
     words = {"tuned": SPLIT_WORDS["development"], "split": SPLIT_WORDS[split]}
     preface = PREFACE.format(**words, snr=SNR_DB, lead=LEAD_S)
     return "\n".join(
@@ -73,7 +73,7 @@ def document(
             _bars(tracked),
             "## Talkers",
             "",
-            "In brackets what the detections are without tracking.",
+            "In brackets: the detections without tracking.",
             "",
             _talkers(tracked, untracked),
             "## Nobody talks",
@@ -87,7 +87,7 @@ def document(
 
 
 def bars(tracked: Mapping[str, Tally]) -> tuple[tuple[Bar, str], ...]:
-    """What tracking is held to, with where that comes from."""
+    """The bars of tracking, each with its origin."""
     still = [cell.name for cell in CELLS if cell.least_voiced == 2]
     others = [cell.name for cell in CELLS if cell.least_voiced == 1]
     noises = [name for name in tracked if name not in {*still, *others}]

@@ -1,4 +1,4 @@
-"""The streams that tracking is scored on: who talks where, and what is heard of it."""
+"""Streams that tracking is scored on: who talks where, and the simulated audio."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Paths = Callable[[np.random.Generator], tuple[Arc, ...]]
 
 @dataclass(frozen=True, slots=True)
 class TrackingCell:
-    """One kind of streams."""
+    """One kind of stream."""
 
     name: str
     rt60: float
@@ -35,11 +35,11 @@ class TrackingCell:
     seconds: float
     streams: int
     least_voiced: int = 1
-    """Updates are scored in which this many talk"""
+    """Fewest talkers who must talk in an update for it to be scored"""
 
 
 def apart(separation_deg: float) -> Paths:
-    """Two who stand this far apart."""
+    """Two talkers who stand this far apart."""
 
     def paths(rng: np.random.Generator) -> tuple[Arc, ...]:
         first = rng.uniform(0, 2 * np.pi)
@@ -49,13 +49,13 @@ def apart(separation_deg: float) -> Paths:
 
 
 def one_walks(rng: np.random.Generator) -> tuple[Arc, ...]:
-    """One who walks past, 15 to 40 degrees per second, either way."""
+    """One talker who walks past at 15 to 40 degrees per second, either way."""
     speed = np.deg2rad(rng.uniform(15, 40)) * rng.choice([-1, 1])
     return (Arc(rng.uniform(0, 2 * np.pi), speed, rng.uniform(1.0, 1.6)),)
 
 
 def two_cross(rng: np.random.Generator) -> tuple[Arc, ...]:
-    """Two who begin about 110 degrees apart and walk through each other, each at its own speed."""
+    """Two talkers who start about 110 degrees apart and cross, each at a speed of its own."""
     middle, seconds = rng.uniform(0, 2 * np.pi), rng.uniform(2.5, 4.0)
     arcs = []
     for side, distance in ((-1, rng.uniform(1.0, 1.2)), (1, rng.uniform(1.4, 1.6))):
@@ -86,7 +86,7 @@ CELLS = (
         for rt60 in (0.3, 0.6)
     ),
 )
-"""Those with two still talkers are those that the peers were measured on"""
+"""Cells of the evaluation; the peers were measured on those with two still talkers"""
 
 
 def simulate_stream(
@@ -106,7 +106,7 @@ def simulate_stream(
 
 
 def noise_streams(seed: int) -> dict[str, FloatArray]:
-    """(N, T) recordings in which nobody talks, by name."""
+    """Recordings (N, T) in which nobody talks, by name."""
     streams = {}
     for noise in NOISES:
         file = noise_file(replace(noise, seconds=NOISE_S), preset(ARRAY), seed)

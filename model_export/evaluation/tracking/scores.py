@@ -4,14 +4,14 @@ Task: a tracker reports tracks with ids at every update of a stream whose talker
 
 Conventions
 -----------
-Azimuths in radians. A talker who pauses need not be reported and may be: its track counts neither
-as a hit nor as false. Only active tracks are scored. A track belongs to a talker if it is within
-``TOLERANCE``; whom it belonged to before, it belongs to still if that holds (CLEAR MOT).
+Azimuths are in radians. A track of a pausing talker is allowed and not required: it counts neither
+as a hit nor as false. Only active tracks are scored. A track belongs to a talker within
+``TOLERANCE`` of it, and stays with that talker while this holds (CLEAR MOT).
 
 Scores
 ------
-identity_switches : a talker's track has another id than its last one had, in all.
-missed_share : of voiced talkers, those without a track within 10 degrees.
+identity_switches : how often a talker's track has another id than that talker's last track.
+missed_share : share of voiced talkers without a track within 10 degrees.
 false_tracks_per_minute : ids that belong to no talker in most of their updates.
 count_right : share of updates with as many tracks as voiced talkers.
 ospa_deg : mean OSPA distance in degrees, cut-off 30.
@@ -46,9 +46,9 @@ class Update:
     time: float
     """Seconds"""
     azimuth: FloatArray
-    """(M,) where the talkers are"""
+    """(M,) radians, directions of the talkers"""
     voiced: BoolArray
-    """(M,) who of them talks"""
+    """(M,) whether each of them talks"""
     tracks: Sequence[Track]
 
 
@@ -69,7 +69,7 @@ class Tally:
     """Seconds from a talker's first word to its first track"""
 
     def scores(self) -> dict[str, float]:
-        """The scores above; those without anything to score are left out."""
+        """The scores above, without those that nothing was counted for."""
         found = {
             "identity_switches": float(self.switches),
             "false_tracks_per_minute": self.false_tracks / self.minutes if self.minutes else 0.0,
@@ -92,7 +92,7 @@ def score(stream: Iterable[Update], tally: Tally, *, least_voiced: int = 1) -> N
     Parameters
     ----------
     stream : iterable of Update
-        In the order of time, evenly spaced.
+        Updates in order of time, evenly spaced.
     tally : Tally
     least_voiced : int
         Updates with fewer voiced talkers count for switches and false tracks only.
@@ -120,7 +120,7 @@ def score(stream: Iterable[Update], tally: Tally, *, least_voiced: int = 1) -> N
 def belongings(
     tracks: Sequence[Track], azimuth: FloatArray, before: Mapping[int, int]
 ) -> dict[int, int]:
-    """Talker of every track's id that belongs to one, given whom they belonged to before."""
+    """Talker by track id, for every track that belongs to one, given the last assignment."""
     kept = {
         track.id: before[track.id]
         for track in tracks
@@ -142,7 +142,7 @@ def _add_update(
     tally.updates += 1
     tally.voiced += len(voiced)
     tally.missed += detection(found, voiced, float(MISSED)).misses
-    # A track of a talker who pauses just now is no mistake.
+    # A pausing talker's track is no mistake.
     resting = sum(track.id in owners and not update.voiced[owners[track.id]] for track in active)
     tally.count_right += len(active) - resting == len(voiced)
     tally.ospa += ospa(

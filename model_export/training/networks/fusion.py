@@ -1,4 +1,4 @@
-"""Frequency attention fusion (FAF): one spectrum per bin to the broadband spectrum."""
+"""Frequency attention fusion (FAF): from one spectrum per bin to the broadband spectrum."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from model_export.training.networks import NUM_BINS
 class FrequencyAttentionFusion(nn.Module):
     """FAF: P(theta) = sum_f alpha_f P(f, theta) / sum_f alpha_f.
 
-    alpha = sigmoid(W2 ReLU(W1 GAP(P))), GAP being the mean over the angles. The paper's sum is not
-    divided; divided, the fused spectrum is a convex combination and stays within [0, 1], which its
-    target does too. No weight belongs to an angle, so a rotated spectrum fuses to a rotated one.
+    alpha = sigmoid(W2 ReLU(W1 GAP(P))), where GAP is the mean over the angles. The paper does not
+    divide the sum; divided, the fused spectrum is a convex combination and stays within [0, 1], as
+    its target does. No weight belongs to an angle, so a rotated spectrum fuses to a rotated one.
     """
 
     def __init__(self, num_bins: int = NUM_BINS, bottleneck: int = 16) -> None:
@@ -21,13 +21,15 @@ class FrequencyAttentionFusion(nn.Module):
         self.squeeze = nn.Linear(num_bins, bottleneck, bias=False)
         self.excite = nn.Linear(bottleneck, num_bins, bias=False)
 
-    def attention(self, spectrum: Tensor) -> Tensor:
-        """Weights (B, F) in (0, 1) of the spectra (B, F, A)."""
-        pooled = spectrum.mean(-1)  # (B, F)
-        hidden = torch.relu(self.squeeze(pooled))  # (B, 16)
-        return torch.sigmoid(self.excite(hidden))  # (B, F)
+    def attention(self, spectrum: Tensor, bins: Tensor | None = None) -> Tensor:
+        """Weights (B, F) in (0, 1) of the spectra (B, F, A), which may be those of some bins."""
+        chosen = slice(None) if bins is None else bins
+        squeeze = self.squeeze.weight[:, chosen]  # (16, F)
+        pooled = spectrum.mean(-1) * (self.squeeze.in_features / squeeze.shape[1])  # (B, F)
+        hidden = torch.relu(pooled @ squeeze.T)  # (B, 16)
+        return torch.sigmoid(hidden @ self.excite.weight[chosen].T)  # (B, F)
 
-    def forward(self, spectrum: Tensor) -> Tensor:
-        alpha = self.attention(spectrum)  # (B, F)
+    def forward(self, spectrum: Tensor, bins: Tensor | None = None) -> Tensor:
+        alpha = self.attention(spectrum, bins)  # (B, F)
         fused = torch.einsum("bf,bfa->ba", alpha, spectrum)  # (B, A)
         return fused / alpha.sum(-1, keepdim=True)

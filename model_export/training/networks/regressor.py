@@ -26,14 +26,14 @@ class CovarianceRegressor(nn.Module):
         size = self.num_microphones
         matrix = self.linear(latent).unflatten(-1, (size, 2 * size))  # (B, F, N, 2N)
         real, imaginary = matrix[..., :size], matrix[..., size:]  # (B, F, N, N) each
-        # (R + R^H) / 2 in real numbers: the real part is symmetric, the imaginary part is not.
+        # (R + R^H) / 2 in real numbers: a symmetric real part and an antisymmetric imaginary part.
         real = 0.5 * (real + real.mT) + self.loading
         imaginary = 0.5 * (imaginary - imaginary.mT)
         return torch.stack([real, imaginary], dim=2)  # (B, F, 2, N, N)
 
 
 class CovarianceNetwork(nn.Module):
-    """Features (B, 2N, 257, 64) to real and imaginary parts (B, 257, 2, N, N) of R_hat(f)."""
+    """Maps features (B, 2N, 257, 64) to real and imaginary parts (B, 257, 2, N, N) of R_hat(f)."""
 
     def __init__(self, num_microphones: int) -> None:
         super().__init__()

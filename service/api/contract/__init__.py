@@ -1,1 +1,1 @@
-"""What OpenAPI says beyond the types of the endpoints."""
+"""What the OpenAPI document says beyond the types of the endpoints."""

@@ -1,14 +1,10 @@
-"""Keys in the OpenAPI document: the scheme, who needs one, and what a refusal looks like."""
+"""Keys in the OpenAPI document: the scheme, the role of each operation, the refusals."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from service.access.key_file import ROLES
-from service.api.middleware.guard import needed_roles
-from service.api.middleware.origins import SAFE_METHODS
-from service.api.problems import MEDIA_TYPE, problem_responses
-from service.errors import (
+from neuralmusic.errors import (
     AudioQuota,
     DoaError,
     HostRefused,
@@ -20,25 +16,29 @@ from service.errors import (
     RoleMissing,
     TooManyUploads,
 )
+from service.access.key_file import ROLES
+from service.api.middleware.guard import needed_roles
+from service.api.middleware.origins import SAFE_METHODS
+from service.api.problems import MEDIA_TYPE, problem_responses
 
 SCHEME = "key"
 EVERYWHERE: tuple[type[DoaError], ...] = (HostRefused, KeyInAddress)
 NEEDS_KEY: tuple[type[DoaError], ...] = (KeyMissing, KeyUnknown, KeyExpired)
 LIMITED: tuple[type[DoaError], ...] = (TooManyUploads, AudioQuota)
 UPLOADS = frozenset({"/localize", "/noise/{name}"})
-"""Paths whose unsafe methods hold an upload's place, but for DELETE"""
+"""Paths whose unsafe methods, except DELETE, count as uploads"""
 
 
 def document_guard(document: dict[str, Any]) -> None:
-    """Add the keys to every operation of an OpenAPI document, once."""
+    """Add keys to every operation of an OpenAPI document; call it once per document."""
     schemes = document["components"].setdefault("securitySchemes", {})
     if SCHEME in schemes:
         return
     schemes[SCHEME] = {
         "type": "http",
         "scheme": "bearer",
-        "description": "Where the service has keys (`docs/keys.md`): one with the role that the "
-        "operation names. Services without keys need none.",
+        "description": "A key with the role that the operation names, where the service has keys "
+        "(`docs/keys.md`). Services without keys need none.",
     }
     for path, operations in document["paths"].items():
         for method, operation in operations.items():
@@ -63,7 +63,7 @@ def _document(operation: dict[str, Any], path: str, method: str) -> None:
 
 
 def _merge(responses: dict[str, Any], status: str, added: dict[str, Any]) -> None:
-    """Add a response's examples to those that are documented with this status."""
+    """Add a response's examples to those already documented for this status."""
     present = responses.setdefault(status, added)
     if present is added:
         return

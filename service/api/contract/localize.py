@@ -1,10 +1,10 @@
-"""The part of the OpenAPI document that types cannot say: bodies, options, examples, errors."""
+"""What types cannot tell the OpenAPI document: bodies, options, examples, errors."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from service.errors import (
+from neuralmusic.errors import (
     AudioTooLong,
     ChannelMismatch,
     DecodingFailed,
@@ -73,13 +73,13 @@ LOCALIZE_ERRORS: tuple[type[DoaError], ...] = (
 
 LOCALIZE_EXAMPLE: dict[str, Any] = {
     "model": {
-        "name": "weights",
-        "version": "1.0.0",
+        "name": "any-array",
+        "version": "0.4.0",
         "variant": "weights",
-        "sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
+        "sha256": "b7c485dedcb826aafaba2514258042750a3fd3fcfb983a44f92451cbcdd7e775",
     },
     "method": "neural",
-    "audio": {"sample_rate": 16000, "channels": 6, "duration_s": 1.024},
+    "audio": {"sample_rate": 16000, "channels": 4, "duration_s": 8.5},
     "array": {
         "name": "respeaker-usb-4mic-v2",
         "positions_m": [
@@ -88,27 +88,40 @@ LOCALIZE_EXAMPLE: dict[str, Any] = {
             [-0.02285, -0.02285, 0.0],
             [0.02285, -0.02285, 0.0],
         ],
-        "channel_map": [1, 2, 3, 4],
+        "channel_map": [0, 1, 2, 3],
     },
     "windows": [
         {
-            "t_start": 0.0,
-            "t_end": 1.024,
-            "num_sources": 1,
+            "t_start": 7.168,
+            "t_end": 8.192,
+            "num_sources": 2,
             "sources": [
                 {
-                    "azimuth_deg": 45.2,
-                    "confidence": 0.93,
+                    "azimuth_deg": 45.53,
+                    "confidence": 0.993,
                     "id": 1,
                     "elevation_deg": None,
-                    "unit_vector": [0.70463, 0.70957, 0.0],
-                }
+                    "unit_vector": [0.7006, 0.71356, 0.0],
+                },
+                {
+                    "azimuth_deg": 199.98,
+                    "confidence": 0.949,
+                    "id": 2,
+                    "elevation_deg": None,
+                    "unit_vector": [-0.9398, -0.34172, 0.0],
+                },
             ],
         }
     ],
-    "summary": {"sources": [{"azimuth_deg": 45.2, "confidence": 0.93, "share": 1.0}]},
+    "summary": {
+        "sources": [
+            {"azimuth_deg": 45.94, "confidence": 0.981, "share": 0.875},
+            {"azimuth_deg": 199.89, "confidence": 0.97, "share": 0.688},
+        ]
+    },
     "warnings": [],
 }
+"""The service's answer to ``examples/two-talkers.flac``, with one of its 16 windows"""
 
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 
@@ -116,11 +129,17 @@ _BINARY = {"schema": {"type": "string", "format": "binary"}}
 def localize_operation() -> dict[str, Any]:
     """Parameters and request bodies of ``POST /localize``."""
     parameters = [
-        # None is required: it may be a form field instead.
+        # No parameter is required: each may be a form field instead.
         {"name": name, "in": "query", "required": False, **_described(option)}
         for name, option in OPTIONS.items()
     ]
     return {"parameters": parameters, "requestBody": _request_body()}
+
+
+def document_answer(document: dict[str, Any]) -> None:
+    """Add the example to an OpenAPI document; FastAPI itself would leave out what is null."""
+    answer = document["paths"]["/localize"]["post"]["responses"]["200"]
+    answer["content"]["application/json"]["example"] = LOCALIZE_EXAMPLE
 
 
 def _request_body() -> dict[str, Any]:

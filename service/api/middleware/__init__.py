@@ -1,1 +1,1 @@
-"""What every request passes before its endpoint."""
+"""ASGI middleware: what every request passes before its endpoint."""

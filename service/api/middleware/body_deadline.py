@@ -1,4 +1,4 @@
-"""A deadline for request bodies: a client that sends nothing, or bytes one by one, is told so."""
+"""A deadline for request bodies: a client that sends nothing, or single bytes, is refused."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ import asyncio
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.errors import RequestTimeout
+from neuralmusic.errors import RequestTimeout
 
 BYTES_PER_S = 500
-"""Of a body that is never too slow, as in Apache's mod_reqtimeout"""
+"""Rate at which a body is never too slow, as in Apache's mod_reqtimeout"""
 
 
 class BodyDeadline:
     """ASGI middleware that gives up a body that falls behind.
 
-    Only the time counts in which the service waits for the client.
+    Only time spent waiting for the client counts.
 
     Parameters
     ----------
     app : ASGIApp
     seconds : float
-        That a body may fall behind ``BYTES_PER_S``, silence included.
+        Most time that a body may fall behind ``BYTES_PER_S``, silence included.
     """
 
     def __init__(self, app: ASGIApp, seconds: float) -> None:
@@ -37,7 +37,7 @@ class BodyDeadline:
 
         async def in_time() -> Message:
             nonlocal patience, ended, late
-            if ended:  # it waits for the client to leave
+            if ended:  # the application waits for the client to leave
                 return await receive()
             loop = asyncio.get_running_loop()
             began = loop.time()
@@ -54,7 +54,7 @@ class BodyDeadline:
 
         async def last_word(message: Message) -> None:
             if late and message["type"] == "http.response.start":
-                MutableHeaders(scope=message)["Connection"] = "close"  # the rest is not waited for
+                MutableHeaders(scope=message)["Connection"] = "close"  # do not wait for the rest
             await send(message)
 
         await self.app(scope, in_time, last_word)
@@ -62,5 +62,5 @@ class BodyDeadline:
     def _too_slow(self) -> RequestTimeout:
         return RequestTimeout(
             f"the body fell {self.seconds:g} s behind {BYTES_PER_S} bytes a second: send it again "
-            "over a better connection, send FLAC, or raise NEURALMUSIC_BODY_TIMEOUT_S"
+            "over a better connection, or send FLAC"
         )

@@ -5,12 +5,12 @@ from __future__ import annotations
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from neuralmusic.errors import UploadTooLarge
 from service.api.problems import problem_response
-from service.errors import UploadTooLarge
 
 
 class BodyLimit:
-    """ASGI middleware that refuses a large Content-Length and counts a body that has none."""
+    """ASGI middleware that refuses a large Content-Length and counts bodies without one."""
 
     def __init__(self, app: ASGIApp, max_bytes: int) -> None:
         self.app = app
@@ -42,6 +42,5 @@ class BodyLimit:
 
     def _too_large(self) -> UploadTooLarge:
         return UploadTooLarge(
-            f"the body is larger than {self.max_bytes} bytes: split the recording, send FLAC, or "
-            "raise NEURALMUSIC_MAX_UPLOAD_BYTES"
+            f"the body is larger than {self.max_bytes} bytes: split the recording, or send FLAC"
         )

@@ -1,4 +1,4 @@
-"""Who may ask what: every request and every stream passes here before its endpoint sees it."""
+"""Access control: checks every request and every stream before its endpoint sees it."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from starlette.requests import HTTPConnection
 from starlette.routing import Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from neuralmusic.errors import DoaError, KeyInAddress
 from service.access.key_file import ROLES, Key, Role
 from service.access.keys import ANYONE, Keys
 from service.api.middleware.hosts import check_host, is_loopback
 from service.api.middleware.origins import SAFE_METHODS, check_origin
 from service.api.middleware.request_watch import route_path
 from service.api.problems import problem_response
-from service.errors import DoaError, KeyInAddress
 from service.settings import Settings
 
 PUBLIC: tuple[Role, ...] = ()
-"""No key is needed"""
+"""Roles of a path that needs no key"""
 NEEDED: Mapping[str, tuple[Role, ...]] = {
     "static": PUBLIC,
     "docs": PUBLIC,
@@ -41,39 +41,39 @@ NEEDED: Mapping[str, tuple[Role, ...]] = {
     "metrics": ("watch",),
     "admin": ("admin",),
 }
-"""Roles by the first part of a path, of which one is needed; what is not listed is for ``admin``"""
+"""Accepted roles by the first part of a path; paths without a rule need ``admin``"""
 
 SUBPROTOCOL_PREFIX = "bearer."
-"""Of the WebSocket subprotocol in which a web page, which can set no header, sends its key"""
+"""Prefix of the WebSocket subprotocol that carries a web page's key; pages cannot set headers"""
 IN_ADDRESS = frozenset({"key", "token", "access_token", "api_key", "apikey"})
 HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-"""Of every answer: no guessed types, no addresses told to others, no use in pages of others"""
+"""Headers of every answer: no guessed types, no referrer, no use by other sites' pages"""
 
 
 def needed_roles(path: str) -> tuple[Role, ...]:
-    """Roles of which a key for this path must have one; none where no key is needed."""
+    """Roles of which a key for this path must have one; empty where no key is needed."""
     return PUBLIC if path == "/" else NEEDED.get(_first_part(path), ("admin",))
 
 
 def key_of(connection: HTTPConnection) -> Key:
-    """The key of a request that was let in."""
+    """The key of an admitted request."""
     key: Key = connection.state.key
     return key
 
 
 class Guard:
-    """ASGI middleware that checks host, key, role and origin, and adds the headers of safety."""
+    """ASGI middleware that checks host, key, role and origin, and adds the security headers."""
 
     def __init__(self, app: ASGIApp, settings: Settings, keys: Keys) -> None:
         self.app = app
         self._settings = settings
         self._keys = keys
         self._only_here = not keys.needed and is_loopback(settings.host)
-        """Nothing but the name then keeps pages out whose name was bound anew"""
+        """True where the ``Host`` header is the only defence against DNS rebinding"""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
@@ -96,7 +96,7 @@ class Guard:
         await self.app(scope, receive, send_safely)
 
     def _admitted(self, scope: Scope) -> Key:
-        """The key of who asks, or the reason why not."""
+        """The key of a connection, or an error that says why it is refused."""
         headers = Headers(scope=scope)
         if self._settings.hosts or self._only_here:
             check_host(scope, headers.get("host", ""), self._settings.hosts)
@@ -122,7 +122,7 @@ def _token(scope: Scope, headers: Headers) -> str | None:
 
 
 def _decoded(text: str) -> str:
-    """What base64url stands for; itself where it is none, which is then no key."""
+    """Text decoded from base64url; other text comes back as it is and matches no key."""
     try:
         return base64.urlsafe_b64decode(text + "=" * (-len(text) % 4)).decode("ascii")
     except (binascii.Error, ValueError):
@@ -139,15 +139,15 @@ def _refuse_keys_in_address(scope: Scope) -> None:
         return
     found = sorted(names & IN_ADDRESS)
     if found:
-        scope["query_string"] = b""  # the server's log of accesses reads it afterwards
+        scope["query_string"] = b""  # the server's access log reads it afterwards
         raise KeyInAddress(
-            f"{found[0]} in the address: logs and histories keep addresses, so take this key out "
-            "of use if it was one, and send keys as the header Authorization: Bearer KEY"
+            f"{found[0]} in the address: logs and histories keep addresses, so revoke this key "
+            "if it was one, and send keys as the header Authorization: Bearer KEY"
         )
 
 
 def _leads_somewhere(scope: Scope) -> bool:
-    """False where no endpoint has this path: then 404 needs no key."""
+    """Whether an endpoint has this path; without one the 404 needs no key."""
     if _first_part(route_path(scope)) in NEEDED:
         return True
     routes = cast(Starlette, scope["app"]).routes

@@ -1,7 +1,7 @@
-"""Which names of the service requests may use: a defence against DNS that is bound anew.
+"""Names by which requests may address the service: a defence against DNS rebinding.
 
-A page of ``evil.example`` whose name suddenly resolves to 127.0.0.1 is of the same origin as the
-service that listens there, for the browser; only the ``Host`` header still tells it.
+When ``evil.example`` suddenly resolves to 127.0.0.1, the browser takes its page and the service
+that listens there for one origin; only the ``Host`` header still tells them apart.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 from starlette.types import Scope
 
-from service.errors import HostRefused
+from neuralmusic.errors import HostRefused
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address to listen on is reached from this machine alone."""
+    """Whether an address to listen on is reachable from this machine alone."""
     if host == "localhost":
         return True
     try:
@@ -30,21 +30,21 @@ def check_host(scope: Scope, header: str, allowed: Sequence[str]) -> None:
     Parameters
     ----------
     scope : Scope
-        Of the connection; ``server`` is the address at which it arrived.
+        The connection's; ``server`` is the address at which it arrived.
     header : str
-        ``Host``; programs that send none are no browsers.
+        The ``Host`` header; a program that sends none is not a browser.
     allowed : sequence of str
-        Names, without ports; where there are none, a connection that arrived on loopback must
-        name this machine or an address, and others may name anything.
+        Names without ports. Where the list is empty, a connection on loopback must name this
+        machine or an address, and other connections may name anything.
     """
     host = host_name(header)
     if not host or "*" in allowed or host in allowed or (not allowed and not _arrived_here(scope)):
         return
-    # An address as the host means that no name was resolved.
+    # An address as the host means that the browser resolved no name.
     if is_local_name(host) or _is_address(host):
         return
     raise HostRefused(
-        f"{host[:100]!r} is no name of this service: use its address, or add the name to "
+        f"{host[:100]!r} is not a name of this service: use its address, or add the name to "
         "NEURALMUSIC_HOSTS"
     )
 
@@ -58,8 +58,8 @@ def host_name(header: str) -> str:
 
 
 def is_local_name(host: str) -> bool:
-    """Names that nobody can register: ``localhost`` (RFC 6761), and names without a dot, by which
-    machines call themselves."""
+    """Whether nobody can register the name: ``localhost`` (RFC 6761), or a name without a dot, as
+    machines have on their own network."""
     return "." not in host or host.endswith(".localhost")
 
 

@@ -1,4 +1,4 @@
-"""Which web pages may change anything: a browser sends the page's origin, robots send none."""
+"""Web pages that may use the service: a browser sends the page's origin, robots send none."""
 
 from __future__ import annotations
 
@@ -7,27 +7,28 @@ from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
 
-from service.errors import OriginRefused
+from neuralmusic.errors import OriginRefused
 
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
-"""Of HTTP: they change nothing, and no page of another origin can read their answers"""
+"""Methods that change nothing; pages of other origins cannot read their answers"""
 
 
 def check_origin(headers: Headers, allowed: Sequence[str]) -> None:
     """Raise OriginRefused unless the page is the service's own or on the list.
 
-    Browsers let any page open a WebSocket to any host and post a form there, so that without this
-    check every page that somebody in the robot's network visits could use the robot's service.
+    Browsers let any page open a WebSocket to any host and post a form there. Without this check
+    every page that somebody in the robot's network visits could use the robot's service.
     """
     origin = headers.get("origin")
-    # Browsers send no slash at the end; people write one.
+    # People write a slash at the end; browsers send none.
     if origin is None or "*" in allowed or origin in (each.rstrip("/") for each in allowed):
         return
     place = _place(origin)
     if place and place == headers.get("host"):
         return
     raise OriginRefused(
-        f"pages of {origin[:100]} may not use this service: add the origin to NEURALMUSIC_ORIGINS"
+        f"pages of {origin[:100]} may not use this service: use its own page, or ask whoever "
+        "runs it to add the origin to NEURALMUSIC_ORIGINS"
     )
 
 

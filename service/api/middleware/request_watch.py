@@ -1,4 +1,4 @@
-"""Every request and handshake: an id, a line in the log, a count."""
+"""An id, a line in the log and a count for every request and handshake."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ log = logging.getLogger(__name__)
 
 HEADER = "X-Request-ID"
 SANE_ID = re.compile(r"[A-Za-z0-9._:+/=@-]{1,128}")
-"""Ids of clients and proxies that are taken over; others could not be told apart in a log"""
+"""Request ids accepted from clients and proxies; any other is replaced"""
 PROBLEM = "neuralmusic.problem"
-"""Where a problem's response leaves its code in the scope"""
+"""Key of the scope under which a problem's response leaves its code"""
 QUIET = ("/livez", "/readyz", "/metrics")
-"""Asked every few seconds; logged at ``debug`` where all is well"""
+"""Paths asked every few seconds; their successes are logged at ``debug``"""
 SHOWN_PATH = 200
-"""Characters of a path in the log"""
+"""Most characters of a path in the log"""
 GONE = 499
-"""Status where the client left before it was answered"""
+"""Status of a request whose client left before the answer"""
 ANSWERS = ("http.response.start", "websocket.http.response.start", "websocket.accept")
 
 
@@ -63,7 +63,7 @@ class RequestWatch:
                 status = HTTPStatus.SWITCHING_PROTOCOLS if accepted else message["status"]
                 header = (HEADER.lower().encode(), ident.encode())
                 message = {**message, "headers": [*message.get("headers", ()), header]}
-                if accepted:  # a stream is told of when it ends, and it is no answer to wait for
+                if accepted:  # a stream is logged when it ends, and its length is no response time
                     self._count(scope, status, None)
             await send(message)
 
@@ -108,7 +108,7 @@ class RequestWatch:
         self._metrics.requested(_method(scope), self._template(scope), status, seconds)
 
     def _template(self, scope: Scope) -> str:
-        """That of the path: a request that was refused has met no route."""
+        """The template that the path matches: a refused request has met no route."""
         path = route_path(scope)
         if path in self._templates:
             return path
@@ -117,7 +117,7 @@ class RequestWatch:
 
 
 def route_path(scope: Scope) -> str:
-    """The path as routes see it: without the prefix under which a proxy serves the application."""
+    """The path as routes see it, without the prefix that a proxy puts before the application."""
     path: str = scope["path"]
     prefix: str = scope.get("root_path", "")
     return path[len(prefix) :] if path.startswith(f"{prefix}/") else path

@@ -1,24 +1,24 @@
-"""What is wrong with a multichannel recording, found from its samples alone.
+"""Faults of a multichannel recording, found from its samples alone.
 
-Task: name the mistakes that make directions wrong without any error: dead, copied, clipped, late
+Task: name the faults that make directions wrong without any error: dead, copied, clipped, late
 or swapped channels, the wrong scale, too little level or bandwidth.
 
 Conventions
 -----------
 Channels are reported by their number in the recording, from 0, through the channel map. Levels are
 decibels relative to full scale (dBFS): 20 log10 of an amplitude, so a full-scale sine has an RMS of
--3 dBFS. A finding is only made where the evidence is far outside of what good recordings show:
-silence is better than a false alarm.
+-3 dBFS. A finding needs evidence far outside of what good recordings show: silence is better than a
+false alarm.
 
-What cannot be found: an order of channels that turns or mirrors the array as a whole. A square
-whose channels are rotated by one is the same square turned by 90 degrees and fits any sound as
-well as the right order; only a sound from a known direction tells them apart. For the same reason a
-late channel of a flat array may be told only up to its opposite (another one early).
+An order of channels that turns or mirrors the array as a whole cannot be found. A square whose
+channels are rotated by one is the same square turned by 90 degrees and fits any sound as well as
+the right order; only a sound from a known direction tells them apart. For the same reason a late
+channel of a flat array may look the same as another one that is early.
 
 Contents
 --------
 ``ChannelDiagnostics`` takes a recording block by block in bounded memory and gives findings.
-``RunningDiagnostics`` does so for a stream that does not end, and reports what is new.
+``RunningDiagnostics`` does so for an endless stream and reports new findings.
 ``levels`` counts samples, ``excerpt`` keeps the loud seconds, ``copies``, ``sound``, ``bandwidth``,
 ``processed``, ``lag``, ``cells``, ``fit``, ``geometry`` and ``diffuse`` look at that excerpt.
 """

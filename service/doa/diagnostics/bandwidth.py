@@ -18,7 +18,7 @@ SILENT_POWER = 1e-14  # full scale squared per bin; less is the same as nothing
 
 
 def spectrum_edge(segments: Sequence[FloatArray], sample_rate: int) -> float | None:
-    """Frequency in hertz above which there is nothing, or None where the spectrum goes on.
+    """Frequency in hertz at which the spectrum ends, or None where it does not end early.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def spectrum_edge(segments: Sequence[FloatArray], sample_rate: int) -> float | N
 
 
 def _cliff(level: FloatArray, frequencies: FloatArray) -> float | None:
-    # The highest level of all that lies above: one line up there and the spectrum has not ended.
+    # The highest level above each bin: a single line up there means that the spectrum goes on.
     above = np.maximum.accumulate(level[::-1])[::-1]
     drops = np.zeros(len(level))
     inside = (frequencies >= LOWEST_EDGE) & (frequencies <= HIGHEST_EDGE * frequencies[-1])
@@ -59,7 +59,7 @@ def bandwidth_findings(segments: Sequence[FloatArray], sample_rate: int) -> list
     if edge is None:
         return []
     detail = (
-        f"there is nothing above {edge / 1000:.1f} kHz, though a sample rate of {sample_rate} Hz "
+        f"there is no sound above {edge / 1000:.1f} kHz, though a sample rate of {sample_rate} Hz "
         f"reaches {sample_rate / 2000:g} kHz: the audio was recorded or sent at a lower rate; "
         f"directions get coarser without the upper band"
     )

@@ -1,8 +1,8 @@
 """Time-frequency cells in which one direct sound begins: the evidence of the geometry.
 
-Over a few frames a cell of one source has a channel vector that keeps its direction, so that the
-block of vectors X (N, K) has rank one. That is read from the K x K Gram matrix X^H X, which shares
-its nonzero eigenvalues with X X^H and stays small for any number of microphones.
+Over a few frames the channel vector of a cell with one source keeps its direction, so the block of
+vectors X (N, K) has rank one. The K x K Gram matrix X^H X shows it: it has the nonzero eigenvalues
+of X X^H and stays small for any number of microphones.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ MAX_FREQUENCY = 4000.0  # Hz; above, speech is weak and positions are known too 
 BLOCK_FRAMES = 3  # 64 ms: an onset, before many reflections have arrived
 PURITY = 0.66  # sum of squared eigenvalues over squared sum: 1 for one source, 1/3 for noise
 ONSET = 3.0
-"""Power over that of the block before: what has just begun is heard directly, what goes on is mixed
-with its reflections. It takes away most of what reverberation does to the fits."""
+"""Least ratio of the power to the previous block's: sound that has just begun is direct, sound that
+goes on is mixed with its reflections. The rule removes most effects of reverberation on the fits"""
 MAX_BLOCKS = 100
 BLOCK_CELLS = 24
-MIN_BLOCK_CELLS = 6  # fewer cells than this fit nearly any direction
-MIN_BLOCKS = 8  # fewer are no statistics
+MIN_BLOCK_CELLS = 6  # fewer cells fit nearly any direction
+MIN_BLOCKS = 8  # fewer give no statistics
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +36,9 @@ class Cells:
     frequency: FloatArray
     """(C,) hertz"""
     block: IntArray
-    """(C,) 0 to B - 1"""
+    """(C,) index of the block, 0 to B - 1"""
     vectors: ComplexArray
-    """(C, N) complex64, entries of unit modulus: microphones differ in gain, not in delay"""
+    """(C, N) complex64 of modulus 1, since gains of microphones differ and only delays count"""
 
     @property
     def num_blocks(self) -> int:
@@ -55,9 +55,9 @@ class _Block:
     frequency: FloatArray
     """(C,) hertz"""
     frames: ComplexArray
-    """(C, N, K)"""
+    """(C, N, K) frames of the cells"""
     gram: ComplexArray
-    """(C, K, K)"""
+    """(C, K, K) Gram matrices of the cells"""
 
 
 def direct_cells(
@@ -66,7 +66,7 @@ def direct_cells(
     max_frequency: float,
     max_blocks: int = MAX_BLOCKS,
 ) -> Cells:
-    """The strongest cells of one source from an excerpt.
+    """The strongest single-source cells of an excerpt.
 
     Parameters
     ----------
@@ -74,12 +74,12 @@ def direct_cells(
     sample_rate : int
         Hertz.
     max_frequency : float
-        Hertz; at most ``MAX_FREQUENCY`` counts.
+        Hertz; bounded by ``MAX_FREQUENCY``.
 
     Returns
     -------
     cells : Cells
-        At most ``max_blocks * BLOCK_CELLS``; none where no direct sound is heard.
+        At most ``max_blocks * BLOCK_CELLS``; empty where no direct sound is heard.
     """
     n_fft = 1 << round(np.log2(FRAME_S * sample_rate))
     stft = Stft(sample_rate, n_fft, n_fft // 2)

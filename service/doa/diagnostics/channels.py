@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from neuralmusic.errors import ChannelMismatch
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics.bandwidth import bandwidth_findings
 from service.doa.diagnostics.copies import copied_groups, copy_findings
@@ -20,24 +21,24 @@ from service.doa.diagnostics.levels import (
 )
 from service.doa.diagnostics.sound import sound_findings
 from service.doa.types import FloatArray
-from service.errors import ChannelMismatch
 
 QUIET = 1e-6
-"""Power of the loudest half second, -60 dBFS: 30 dB above the rounding of 16-bit audio."""
+"""Power of the loudest half second below which audio is quiet: -60 dBFS, 30 dB above the rounding
+of 16-bit audio"""
 
 
 @dataclass(frozen=True, slots=True)
 class DiagnosticReport:
-    """Levels, findings, and whether the order and the delays of the channels could be judged."""
+    """Levels, findings, and why the order and the delays of the channels were not checked."""
 
     levels: ChannelLevels
     findings: tuple[Finding, ...]
     unchecked: str | None
-    """Why the sound was not compared with the array; None where it was"""
+    """Reason why the sound was not compared with the array; None where it was"""
 
 
 class ChannelDiagnostics:
-    """What is wrong with N channels of audio; memory does not grow with the recording.
+    """Finds the faults of N channels of audio; memory does not grow with the recording.
 
     Parameters
     ----------
@@ -45,7 +46,7 @@ class ChannelDiagnostics:
         Hertz.
     num_channels : int
     channel_map : sequence of int, optional
-        Recording channel of each of the N channels, for the findings; 0 to N - 1 by default.
+        Recording channel of each of the N channels, named in findings; 0 to N - 1 by default.
     """
 
     def __init__(
@@ -57,15 +58,15 @@ class ChannelDiagnostics:
         self._excerpt = Excerpt(sample_rate, num_channels)
 
     def add(self, block: FloatArray) -> None:
-        """Take the next block of audio (N, T) float32 of any length."""
+        """Add the next block of audio (N, T) float32 of any length."""
         self._excerpt.add(self._meter.add(block))
 
     def levels(self) -> ChannelLevels:
-        """Levels of everything so far."""
+        """Levels of the audio so far."""
         return self._meter.levels()
 
     def findings(self, array: MicrophoneArray | None = None) -> list[Finding]:
-        """Everything that is wrong so far; without an array, geometry is not looked at.
+        """All findings so far; without an array, its geometry is not checked.
 
         Raises
         ------
@@ -75,7 +76,7 @@ class ChannelDiagnostics:
         return list(self.report(array).findings)
 
     def report(self, array: MicrophoneArray | None = None) -> DiagnosticReport:
-        """Levels and findings, and why geometry was not judged where it was not."""
+        """Levels and findings, and why the geometry was not checked, if it was not."""
         count = len(self._names)
         if array is not None and array.num_microphones != count:
             raise ChannelMismatch(
@@ -93,13 +94,13 @@ class ChannelDiagnostics:
         findings += copy_findings(copied, self._names)
         if dead or copied:
             findings += bandwidth_findings(segments, self._sample_rate)
-            return DiagnosticReport(levels, tuple(findings), "dead or copied channels come first")
+            return DiagnosticReport(levels, tuple(findings), "first repair dead or copied channels")
         more, unchecked = sound_findings(segments, self._sample_rate, self._names, array)
         return DiagnosticReport(levels, (*findings, *more), unchecked)
 
 
 def quiet_finding(power: float, levels: ChannelLevels) -> Finding:
-    """``quiet`` of audio whose loudest half second has the power ``power``."""
+    """The finding ``quiet`` for audio whose loudest half second has the power ``power``."""
     if power == 0.0 and not np.isfinite(levels.rms).any():
         return Finding("quiet", "the recording is silent: check that the right device recorded")
     level = f"{10 * np.log10(power):.0f} dBFS" if power > 0 else "nothing"

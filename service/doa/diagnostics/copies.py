@@ -10,10 +10,10 @@ from service.doa.diagnostics.finding import Finding, channel_list
 from service.doa.types import FloatArray
 
 COPY_RESIDUAL = 3e-4
-"""1 - correlation^2 of a copy, -35 dB: a gain on quiet 16-bit audio leaves a third as much."""
+"""Largest 1 - correlation^2 of a copy, -35 dB: a gain on quiet 16-bit audio leaves a third"""
 ROUNDING = 2 / 32768
-"""RMS of what rounding leaves between a channel and its copy, in steps of 16-bit audio; noises of
-two microphones differ by more, also where a sound reaches both at the same time."""
+"""Largest RMS difference between a channel and its copy, from rounding to 16 bits; noises of two
+microphones differ by more, even where a sound reaches both at the same time"""
 
 
 def copied_groups(segments: Sequence[FloatArray], ignored: Sequence[int]) -> list[tuple[int, ...]]:
@@ -23,15 +23,15 @@ def copied_groups(segments: Sequence[FloatArray], ignored: Sequence[int]) -> lis
     ----------
     segments : list of (N, T) float32
     ignored : sequence of int
-        Channels that take no part, the dead ones.
+        Channels to leave out, the dead ones.
 
     Returns
     -------
     groups : list of tuple of int
-        Each with two channels or more, ascending.
+        Groups of two or more channels, ascending.
     """
-    # Differences weigh frequencies up: microphones stand closer than half a wavelength of mains
-    # hum or rumble, so these are equal in all channels of a good recording.
+    # Differences of samples emphasise high frequencies. Mains hum and rumble, whose wavelengths
+    # are long against the array, are equal in all channels of a good recording.
     steps = np.concatenate([np.diff(segment, axis=-1) for segment in segments], axis=-1)
     gram = steps.astype(np.float64) @ steps.T.astype(np.float64)
     power = np.maximum(np.diag(gram), 1e-30)

@@ -1,10 +1,10 @@
-"""The array's size from reverberation, which plane waves alone cannot tell where it is too large.
+"""The array's size from reverberation; plane waves cannot show that the given size is too large.
 
 A smaller array hears smaller delays, and so does an array of the right size from talkers above it.
-Sound that dies away comes from everywhere: there two microphones at a distance d have the coherence
-sin(k d) / (k d) whatever the talker does, k = 2 pi f / c (Cook et al., 1955; for calibration
-McCowan, Lincoln, Himawan, 2008). Noises of the microphones lower it by a factor that is common to
-all pairs, so that only its shape over frequency and distance counts.
+Decaying sound comes from everywhere: there two microphones at a distance d have the coherence
+sin(k d) / (k d) with k = 2 pi f / c, wherever the talker is (Cook et al., 1955; for calibration
+McCowan, Lincoln, Himawan, 2008). Noises of the microphones lower it by a factor common to all
+pairs, so only its shape over frequency and distance counts.
 """
 
 from __future__ import annotations
@@ -26,36 +26,36 @@ from service.doa.types import BoolArray, ComplexArray, FloatArray
 
 FRAME_S = 0.032
 BAND = (600.0, 4500.0)  # Hz
-FALL = 0.5  # of the power two frames before: what is heard has ended, its reflections have not
+FALL = 0.5  # of the power two frames before: the sound has ended, its reflections have not
 QUIET = 0.2
-"""Share of a bin's frames that hold what is always there"""
+"""Share of a bin's frames, the quietest, that hold the steady background"""
 ABOVE_QUIET = 4.0
-"""Least power of what dies away, against the loudest of those"""
+"""Least power of decaying sound against the loudest of the quiet frames"""
 COHERENT_BAND = (3000.0, 4500.0)  # Hz
 COHERENT = 0.08
-"""Mean coherence in that band of what is always there: a fan under the array, or what couples into
-all channels, would make it look small"""
+"""Largest mean coherence of the background in that band: a fan under the array, or a signal that
+couples into all channels, would make the array look small"""
 MIN_CELLS = 1500
 SCALES = np.arange(0.4, 1.6, 0.02)
 SMALLER = 0.86
 """Largest estimate that is a finding. Reflections come from the walls more than from the ceiling,
-which makes estimates of right arrays 1.0 to 1.3; only people who are always 60 degrees above it in
-a dry room (RT60 0.2 s) bring them down to 0.8"""
+which makes estimates for correct arrays 1.0 to 1.3; only people who are always 60 degrees above the
+array in a dry room (RT60 0.2 s) bring them down to 0.8"""
 MIN_GAIN = 1.15
-"""Below it the given size explains the coherence nearly as well"""
+"""Least gain of a finding; below it the given size explains the coherence nearly as well"""
 MAX_RESIDUAL = 0.4
-"""Of the coherence's power that the best scale may leave; a single direction leaves more"""
+"""Largest share of the coherence's power that the best scale leaves; one direction leaves more"""
 MIN_APERTURE, MAX_APERTURE = 0.03, 0.3  # m; smaller arrays are coherent in the band, larger never
 
 
 @dataclass(frozen=True, slots=True)
 class DiffuseFit:
-    """The array whose diffuse coherence is the one that is heard."""
+    """The array size whose diffuse coherence matches the recording."""
 
     scale: float
-    """Its size against the given one"""
+    """Size against the given one"""
     gain: float
-    """What the given one leaves unexplained against what this one does, at least 1"""
+    """Misfit of the given size over the misfit of this one, at least 1"""
 
 
 def diffuse_fit(
@@ -96,7 +96,7 @@ def diffuse_fit(
 
 
 def _coherence(spectra: ComplexArray, power: FloatArray, cells: BoolArray) -> FloatArray:
-    """Real part of the coherence (F, N, N) over some cells (S, F, L) of spectra (S, N, F, L)."""
+    """Real part of the coherence (F, N, N) over chosen cells (S, F, L) of spectra (S, N, F, L)."""
     scaled = spectra * (cells / np.sqrt(np.maximum(power, np.finfo(np.float32).tiny)))[:, None]
     by_bin = np.moveaxis(scaled, 2, 0).swapaxes(1, 2)  # (F, N, S, L)
     by_bin = by_bin.reshape(*by_bin.shape[:2], -1)
@@ -128,7 +128,7 @@ def _fitted(
 def size_findings(
     segments: Sequence[FloatArray], sample_rate: int, array: MicrophoneArray
 ) -> list[Finding]:
-    """``array_scale`` where the array is clearly smaller than it is said to be."""
+    """``array_scale`` where the array is clearly smaller than given."""
     if not MIN_APERTURE <= array.aperture <= MAX_APERTURE or _upright(array):
         return []
     fit = diffuse_fit(segments, sample_rate, array.positions)
@@ -137,13 +137,13 @@ def size_findings(
     detail = (
         f"the reverberation fits an array about {fit.scale:.1f} times as large as the given one: "
         f"check the positions (a diameter is twice a radius, a side of a square is not its "
-        f"diagonal); only an array that hears everybody from steeply above sounds alike, in a very "
-        f"dry room"
+        f"diagonal); in a very dry room, an array that hears everybody from steeply above sounds "
+        f"the same"
     )
     return [Finding("array_scale", detail)]
 
 
 def _upright(array: MicrophoneArray) -> bool:
-    """Whether it is a panel in a vertical plane, which looks too large between walls that reflect
-    more than floor and ceiling do."""
+    """Whether the array is a panel in a vertical plane, which looks too large between walls that
+    reflect more than floor and ceiling."""
     return array.linear and bool(np.ptp(array.positions[:, 2]) > MIN_SPACING)

@@ -1,8 +1,8 @@
-"""The loud seconds of a recording: what everything but the levels is judged on.
+"""The loud seconds of a recording, on which all but the levels is judged.
 
 A fixed number of slots divides the recording's time so far, and each keeps its loudest segment.
-When the slots are full, neighbours merge and every slot covers twice the time. So the memory is
-bounded, the excerpt is spread over the whole recording, and pauses do not fill it.
+When the slots are full, neighbours merge and every slot covers twice the time. Memory is bounded,
+the excerpt spreads over the whole recording, and pauses do not fill it.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ FULL_SCALE = 32767
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A stretch of audio and its power; kept with 16 bits below every channel's own peak."""
+    """A stretch of audio and its power, stored with 16 bits below every channel's own peak."""
 
     samples: npt.NDArray[np.int16]
-    """(N, T)"""
+    """(N, T) samples in steps"""
     step: FloatArray
-    """(N, 1) what one of them is worth"""
+    """(N, 1) size of a step"""
     power: float
 
     @classmethod
     def of(cls, audio: FloatArray, power: float) -> Segment:
-        """Keep audio (N, T)."""
+        """The segment of audio (N, T)."""
         peak = np.abs(audio).max(axis=-1, keepdims=True)
         step = np.maximum(peak, np.finfo(np.float32).tiny) / np.float32(FULL_SCALE)
         return cls(np.rint(audio / step).astype(np.int16), step, power)
@@ -55,7 +55,7 @@ class Excerpt:
         self._per_slot = 1
 
     def add(self, block: FloatArray) -> None:
-        """Take a block (N, T) of any length."""
+        """Add a block (N, T) of any length."""
         audio = np.concatenate([self._rest, block], axis=-1) if self._rest.size else block
         whole = audio.shape[-1] // self._length * self._length
         for start in range(0, whole, self._length):
@@ -63,13 +63,13 @@ class Excerpt:
         self._rest = audio[:, whole:].copy()
 
     def segments(self) -> list[FloatArray]:
-        """The kept segments (N, T) in the order of time; a short recording is one short segment."""
+        """The kept segments (N, T) in time order; a short recording is one short segment."""
         if not self._slots:
             return [self._rest] if self._rest.shape[-1] else []
         return [segment.audio for segment in self._slots]
 
     def loudest(self) -> float:
-        """Power of the loudest segment, of the median channel."""
+        """Power of the loudest segment in the median channel."""
         if self._slots:
             return max(segment.power for segment in self._slots)
         return _power(self._rest) if self._rest.shape[-1] else 0.0
@@ -93,6 +93,6 @@ class Excerpt:
 
 
 def _power(audio: FloatArray) -> float:
-    """Variance of the median channel: one dead or hot channel does not choose the segments."""
+    """Variance of the median channel, so that one dead or hot channel does not choose segments."""
     around = audio - audio.mean(axis=-1, keepdims=True)
     return float(median(np.vecdot(around, around) / audio.shape[-1]))

@@ -1,4 +1,4 @@
-"""One thing that is wrong with a recording."""
+"""One fault of a recording."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ FindingCode = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A stable code, a sentence that says what to do, and the channels that it is about."""
+    """A stable code, a sentence that says what to do, and the channels concerned."""
 
     code: FindingCode
     detail: str
     channels: tuple[int, ...] = ()
-    """Recording channels from 0; empty where the whole recording is meant"""
+    """Recording channels from 0; empty for the whole recording"""
 
 
 def channel_list(channels: Sequence[int]) -> str:

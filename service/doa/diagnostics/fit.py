@@ -15,7 +15,7 @@ from service.doa.types import ComplexArray, FloatArray
 
 AZIMUTH_STEP = np.deg2rad(5.0)
 ELEVATIONS = np.arccos([1.0, 0.9, 0.75, 0.6])  # even steps of the delays in a level array
-CHUNK = 8  # hypotheses at once: with a block's cells half a megabyte of responses
+CHUNK = 8  # hypotheses at a time: half a megabyte of responses for a block's cells
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class PlaneWaveFit:
     positions : (N, 3) float
         Metres.
     sample_rate : int
-        Hertz; the unit of ``Hypothesis.late``.
+        Hertz; ``Hypothesis.late`` counts its samples.
     """
 
     def __init__(self, cells: Cells, positions: FloatArray, sample_rate: int) -> None:
@@ -50,7 +50,7 @@ class PlaneWaveFit:
         self._positions = positions
         self._sample_rate = sample_rate
         level = bool(np.ptp(positions[:, 2]) < 1e-4)
-        # Below a level array sounds the same as above it.
+        # Elevations above are enough: a level array cannot tell them from those below.
         elevation = ELEVATIONS if level else np.concatenate([ELEVATIONS, -ELEVATIONS[1:]])
         azimuth = np.arange(0, 2 * np.pi - 1e-9, AZIMUTH_STEP)
         self._azimuth = np.tile(azimuth, elevation.size)
@@ -68,7 +68,7 @@ class PlaneWaveFit:
         )
 
     def agreement(self, order: tuple[int, ...]) -> FloatArray:
-        """(N,) how well each microphone agrees with the others under ``order``, up to 1."""
+        """(N,) agreement of each microphone with the others under ``order``, up to 1."""
         hypothesis = Hypothesis(order, (0,) * len(order))
         best = self._responses([hypothesis])[0].argmax(axis=-1)[self._cells.block]  # (C,)
         direction = unit_vectors(self._azimuth[best], self._elevation[best])
@@ -92,7 +92,7 @@ class PlaneWaveFit:
         total = np.empty((len(hypotheses), cells.num_blocks, self._azimuth.size), dtype=np.float32)
         for block, (begin, end) in enumerate(pairwise(self._starts)):
             response = np.conj(vectors[begin:end]) @ steering[self._bin[begin:end]]  # (C', H, A)
-            # Squared in place and summed before parts meet: fresh memory costs most.
+            # Square in place and sum before joining the parts: fresh memory costs most.
             parts = response.view(np.float32)
             np.square(parts, out=parts)
             sums = np.add.reduce(parts, axis=0)  # (H, 2A)

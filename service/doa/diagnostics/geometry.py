@@ -1,8 +1,8 @@
-"""Does the sound fit the array? Wrong orders, late channels and wrong sizes by comparison of fits.
+"""Wrong orders, late channels and wrong sizes, found by comparing fits of sound and array.
 
-Every hypothesis undoes one mistake. It is believed where plane waves fit the recording's direct
+Every hypothesis undoes one mistake. It is accepted where plane waves fit the recording's direct
 sounds much better than with the geometry as given, block for block. Reverberation makes all fits
-worse and so costs detections rather than false alarms.
+worse, which costs detections rather than causing false alarms.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from service.doa.diagnostics.orders import best_order, equivalent_orders, suspec
 from service.doa.types import FloatArray
 
 MISFIT_RATIO = 0.9
-"""At most this share of the misfit (1 - fit) may remain: over 240 good simulated rooms and three
-real recordings no wrong hypothesis left less than 0.93."""
+"""Largest share of the misfit (1 - fit) that an accepted hypothesis leaves; over 240 good simulated
+rooms and three real recordings no wrong hypothesis leaves less than 0.93"""
 MIN_STATISTIC = 3.5
-"""Mean gain of the blocks over its standard error: the same recordings stay below 2.9."""
+"""Least mean gain of the blocks over its standard error; the same recordings stay below 2.9"""
 TIE = 1.1  # misfits of late channels that differ by a smaller factor cannot be told apart
 PRIOR = 1.03  # an order wins over a slightly better lag: wrong orders are far more common
 MAX_LATE = 4  # samples; most larger lags are seen by cross-correlation
@@ -37,15 +37,15 @@ class Verdict:
 
     hypothesis: Hypothesis
     misfit: float
-    """1 - mean fit"""
+    """1 - mean fit of the hypothesis"""
     given: float
-    """The same for the geometry as given"""
+    """1 - mean fit of the geometry as given"""
 
 
 def geometry_findings(
     fit: PlaneWaveFit, positions: FloatArray, names: Sequence[int]
 ) -> list[Finding]:
-    """The mistake that explains the sound best, if one explains it much better than none.
+    """The mistake that explains the sound best, if one explains it much better than no mistake.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def _late_hypotheses(late: Sequence[int], order: tuple[int, ...]) -> list[Hypoth
 def _judge(
     fit: PlaneWaveFit, hypotheses: Sequence[Hypothesis], reference: FloatArray
 ) -> list[Verdict]:
-    """Verdicts on the hypotheses that beat the fits ``reference`` (B,) clearly."""
+    """Verdicts on the hypotheses that clearly beat the fits ``reference`` (B,)."""
     if not hypotheses:
         return []
     given = max(1.0 - float(reference.mean()), 1e-6)
@@ -146,7 +146,7 @@ def _scale_finding(verdict: Verdict) -> Finding:
     )
     if scale >= RATE_SCALE:
         rates = (
-            f"{delays}, as they do where audio of 48 or 44.1 kHz is declared as 16 kHz: check the "
+            f"{delays}, as when audio of 48 or 44.1 kHz is declared as 16 kHz: check the "
             f"sample rate that the file or the stream names, then the unit of the positions"
         )
         return Finding("sample_rate_wrong", rates)

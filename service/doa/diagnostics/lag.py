@@ -1,4 +1,4 @@
-"""Channels late by more than sound can be: generalized cross-correlation over the excerpt."""
+"""Channels later than any sound can be, by generalized cross-correlation over the excerpt."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def channel_lags(segments: Sequence[FloatArray], sample_rate: int) -> FloatArray
     Returns
     -------
     lags : (N,) float64
-        Positive is late; NaN where the channels share too little sound to tell.
+        Positive where late; NaN where the channels share too little sound to tell.
     """
     length = max(segment.shape[-1] for segment in segments)
     n_fft = scipy.fft.next_fast_len(2 * length, real=True)
@@ -38,7 +38,7 @@ def channel_lags(segments: Sequence[FloatArray], sample_rate: int) -> FloatArray
         product = spectra * np.conj(spectra[0])
         cross += product / np.maximum(np.abs(product), np.finfo(np.float32).tiny)
     frequency = scipy.fft.rfftfreq(n_fft, 1 / sample_rate)
-    cross[:, (frequency < 200) | (frequency > 6000)] = 0  # hum, and what few recordings hold
+    cross[:, (frequency < 200) | (frequency > 6000)] = 0  # hum, and a band that few recordings hold
     correlation = scipy.fft.irfft(cross, n_fft, axis=-1)
     reach = min(round(MAX_LAG_S * sample_rate), length // 2)
     around = np.concatenate([correlation[:, -reach:], correlation[:, : reach + 1]], axis=-1)
@@ -51,7 +51,7 @@ def channel_lags(segments: Sequence[FloatArray], sample_rate: int) -> FloatArray
 def lag_findings(
     segments: Sequence[FloatArray], sample_rate: int, distances: FloatArray, names: Sequence[int]
 ) -> list[Finding]:
-    """Channels whose lag no direction of sound explains.
+    """Findings about channels whose lag no direction of sound explains.
 
     Parameters
     ----------
@@ -66,8 +66,8 @@ def lag_findings(
     if not segments or len(names) < 2:
         return []
     lags = channel_lags(segments, sample_rate)
-    # Only lags behind channel 0 itself are compared with a distance: with several sources around,
-    # two other channels' peaks may belong to different ones, and their difference to neither.
+    # Only lags behind channel 0 itself are compared with a distance: with several sources, the
+    # peaks of two other channels may belong to different ones and their difference to none.
     excess = np.abs(lags) > distances[0] / SPEED_OF_SOUND + MARGIN_S  # NaN is never in excess
     late = [int(index) for index in np.flatnonzero(excess)]
     if not late:

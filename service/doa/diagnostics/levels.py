@@ -1,4 +1,4 @@
-"""Levels of every channel, counted sample by sample, and what they say."""
+"""Levels of every channel, counted sample by sample, and findings from them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ChannelLevels:
 
 
 class LevelMeter:
-    """Sums over blocks of audio from which the levels come."""
+    """Sums over blocks of audio that give the levels."""
 
     def __init__(self, num_channels: int) -> None:
         self._count = 0
@@ -45,7 +45,7 @@ class LevelMeter:
         self._non_finite = np.zeros(num_channels, dtype=np.int64)
 
     def add(self, block: FloatArray) -> FloatArray:
-        """Count a block (N, T) and give it back with zeros where it is not finite."""
+        """Count a block (N, T); return it with zeros where it is not finite."""
         if block.shape[-1] == 0:
             return block
         peak = np.abs(block).max(axis=-1)  # not finite where a sample is not
@@ -64,10 +64,10 @@ class LevelMeter:
         return block
 
     def levels(self) -> ChannelLevels:
-        """The levels of everything so far."""
+        """The levels of the audio so far."""
         count = max(self._count, 1)
         mean = self._sum / count
-        # Rounding leaves a little of a constant channel: below the last bit it is nothing.
+        # Rounding leaves a constant channel with a little power, below the last bit.
         variance = np.maximum(self._squares / count - mean**2, 0.0)
         deviation = np.sqrt(np.where(variance < SILENCE**2, 0.0, variance))
         return ChannelLevels(
@@ -107,7 +107,7 @@ def dead_channels(levels: ChannelLevels) -> tuple[int, ...]:
 
 
 def level_findings(levels: ChannelLevels, names: Sequence[int]) -> list[Finding]:
-    """Dead, clipped, offset and non-finite channels; ``names`` are their recording channels."""
+    """Dead, clipped, off-centre and non-finite channels; ``names`` are the recording channels."""
     return [
         *_non_finite(levels, names),
         *_dead(levels, names),
@@ -122,7 +122,7 @@ def _non_finite(levels: ChannelLevels, names: Sequence[int]) -> list[Finding]:
         return []
     detail = (
         f"{int(levels.non_finite.sum())} samples of {channel_list(channels)} are NaN or infinite: "
-        f"find what wrote them, the file cannot be localized"
+        f"find the program that wrote them, the file cannot be localized"
     )
     return [Finding("non_finite", detail, channels)]
 

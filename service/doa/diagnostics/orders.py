@@ -1,8 +1,8 @@
 """Orders of an array's channels that plane waves can tell apart, and the search among them.
 
-Two orders that give the array the same distances between its microphones are one array turned or
-mirrored: every sound fits both, from another direction. So a square has three distinct orders
-instead of 24, and its rotation by one channel cannot be seen.
+Two orders with the same distances between the microphones are one array turned or mirrored: every
+sound fits both, from another direction. So a square has three distinct orders instead of 24, and
+its rotation by one channel cannot be seen.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from service.doa.diagnostics.fit import Hypothesis, PlaneWaveFit
 from service.doa.types import FloatArray
 
 Order = tuple[int, ...]
-"""Channel of every microphone."""
+"""Channel of every microphone"""
 
 ALL_ORDERS = 5  # up to this many microphones every order is tried: 120
-SUSPECTS = 6  # of more microphones, only the ones that agree least with the others are exchanged
+SUSPECTS = 6  # with more microphones, only those that agree least with the others are exchanged
 CONGRUENT = 0.05  # of the aperture: arrays that differ by less sound alike
 STEP = 0.95  # a further exchange must leave at most this share of the misfit
 
 
 def suspects(agreement: FloatArray) -> tuple[int, ...]:
-    """Microphones that may be at fault: all of a few, the least agreeing of many."""
+    """Microphones that may be at fault: all if they are few, else those that agree least."""
     return tuple(sorted(int(index) for index in np.argsort(agreement)[:SUSPECTS]))
 
 
 def distinct_orders(positions: FloatArray, exchanged: Sequence[int] | None = None) -> list[Order]:
     """Orders that sound different from the given one and from each other.
 
-    Of the orders that sound alike, the one that moves the fewest channels stands for all.
+    The order that moves the fewest channels stands for all that sound alike.
 
     Parameters
     ----------
     positions : (N, 3) float
     exchanged : sequence of int, optional
-        For N above ``ALL_ORDERS``, exchanges of two channels are tried among these only, beside
-        rotations of all channels.
+        Microphones among which exchanges of two channels are tried for N above ``ALL_ORDERS``,
+        beside rotations of all channels.
     """
     count = len(positions)
     candidates = sorted(_orders(count, range(count) if exchanged is None else exchanged), key=moved)
@@ -72,7 +72,8 @@ def equivalent_orders(positions: FloatArray, order: Order) -> list[Order]:
 def best_order(fit: PlaneWaveFit, positions: FloatArray) -> Hypothesis | None:
     """The order that fits best; None where every distinct order fits worse than the given one.
 
-    Few microphones: all orders. Many: exchange after exchange while the fit gets clearly better.
+    All orders of few microphones are tried. With many, exchanges follow each other while the fit
+    gets clearly better.
     """
     count = len(positions)
     late = (0,) * count
@@ -96,7 +97,7 @@ def best_order(fit: PlaneWaveFit, positions: FloatArray) -> Hypothesis | None:
 
 
 def moved(order: Order) -> int:
-    """How many channels are not at their own microphone."""
+    """Number of channels that are not at their own microphone."""
     return sum(index != channel for index, channel in enumerate(order))
 
 
@@ -110,7 +111,7 @@ def _orders(count: int, exchanged: Sequence[int]) -> Iterable[Order]:
 
 
 def _next(order: Order, exchanged: Sequence[int]) -> list[Order]:
-    """``order`` with two microphones' channels exchanged, for every two of ``exchanged``."""
+    """Copies of ``order`` with the channels of two microphones of ``exchanged`` swapped."""
     following = []
     for first, second in combinations(exchanged, 2):
         changed = list(order)

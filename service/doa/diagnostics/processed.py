@@ -1,8 +1,8 @@
-"""Channels that are no microphones of the array: a device's processed or playback channel.
+"""Channels that are not microphones of the array: a device's processed or playback channel.
 
-What several microphones of one small array hear rises and falls together: the difference of two
-channels' levels, in one band, stays the same from moment to moment. A channel after beamforming,
-noise suppression or automatic gain, or one with other content, follows a level of its own.
+The levels of one small array's microphones rise and fall together: the difference of two channels'
+levels in a band stays the same from moment to moment. A channel after beamforming, noise
+suppression or automatic gain, or one with other content, follows a level of its own.
 """
 
 from __future__ import annotations
@@ -18,32 +18,31 @@ from service.doa.types import ComplexArray, FloatArray, IntArray
 
 FRAME_S = 0.064
 BANDS = ((300.0, 800.0), (800.0, 1600.0), (1600.0, 3200.0), (3200.0, 7000.0))
-"""Hertz; each judged by itself, so that a filter or a cover before one microphone, which is the
-same at all times, makes no difference, and the median of them counts"""
+"""Bands in hertz. Each is judged by itself and the median counts, so a filter or cover before one
+microphone, which is the same at all times, makes no difference"""
 MIN_FRAMES = 60
 FLOOR = 1e-12
-"""Power per bin that counts as none: rounding of 16-bit audio"""
+"""Power per bin that counts as zero: rounding of 16-bit audio"""
 MIN_SPREAD = 2.0
-"""dB; standard deviation of the level difference to every other channel, from which on the channel
-is foreign by itself"""
+"""Least standard deviation in dB of a foreign channel's level difference to every other channel"""
 SPREAD_RATIO = 2.0
-"""Of that against the largest between two of the other channels"""
+"""Least ratio of that deviation to the largest between two of the other channels"""
 WIDER = 1.5
-"""dB by which the channel's loud moments stand further above its pauses than those of the others:
-beamformers and noise suppression lower the noise. A microphone with more noise of its own, which
-also has a level of its own, has less."""
+"""Least excess in dB of a processed channel's range from pauses to loud moments: beamformers and
+noise suppression lower the noise. A microphone with more noise of its own also has a level of its
+own, but a smaller range."""
 FOREIGN_SPREAD = 6.0
-"""dB; from there on a channel is foreign whatever its pauses are"""
+"""Standard deviation in dB from which a channel is foreign whatever its pauses are"""
 SHARED_NOISE = 0.07
-"""Coherence in the pauses with every other channel, above the largest of two of the others: a beam
-holds the noise of each of its microphones. Their own noises are not coherent, however strong."""
+"""Excess of a beam's coherence in the pauses with every other channel, over the largest of two
+others: a beam holds the noise of each of its microphones, which is not coherent between them"""
 NOISE_BAND = (3200.0, 7000.0)
-"""Hertz; below it noise of the room is coherent between neighbouring microphones"""
+"""Band in hertz; below it noise of the room is coherent between neighbouring microphones"""
 
 
 @dataclass(frozen=True, slots=True)
 class LevelUnity:
-    """How far the levels of N channels move together."""
+    """How closely the levels of N channels move together."""
 
     spread: FloatArray
     """(N, N) standard deviations of level differences in dB"""
@@ -54,7 +53,7 @@ class LevelUnity:
 
 
 def level_unity(segments: Sequence[FloatArray], sample_rate: int) -> LevelUnity | None:
-    """Compare levels from frame to frame, or None where there are too few frames.
+    """Compare levels from frame to frame; None where there are too few frames.
 
     Parameters
     ----------
@@ -94,7 +93,7 @@ def _coherence(spectra: ComplexArray) -> FloatArray:
     """(N, N) root mean square over bins of the coherence of spectra (N, F, L)."""
     by_bin = np.swapaxes(spectra, 0, 1)  # (F, N, L)
     cross = by_bin @ np.conj(np.swapaxes(by_bin, -1, -2))
-    power = np.maximum(np.einsum("fnn->fn", cross).real, FLOOR)  # squared, float32 still holds it
+    power = np.maximum(np.einsum("fnn->fn", cross).real, FLOOR)  # its square still fits float32
     squared = np.abs(cross) ** 2 / (power[:, :, None] * power[:, None])
     coherence: FloatArray = np.sqrt(squared.mean(axis=0))
     return coherence
@@ -126,7 +125,7 @@ def _against(pairs: FloatArray, index: int, rest: IntArray) -> tuple[float, floa
 def processed_findings(
     segments: Sequence[FloatArray], sample_rate: int, names: Sequence[int]
 ) -> list[Finding]:
-    """``channel_processed`` where one channel is no raw microphone."""
+    """``channel_processed`` where one channel is not a raw microphone."""
     unity = level_unity(segments, sample_rate)
     index = None if unity is None else foreign_channel(unity)
     if unity is None or index is None:
@@ -135,7 +134,7 @@ def processed_findings(
     own, usual = _against(unity.spread, index, rest)
     others = [name for other, name in enumerate(names) if other != index]
     detail = (
-        f"channel {names[index]} is no microphone like the others: its level moves by "
+        f"channel {names[index]} is not a microphone like the others: its level moves by "
         f"{own:.1f} dB against {channel_list(others)}, which "
         f"{is_or_are(others)} within {usual:.1f} dB of each "
         f"other. Devices deliver a processed channel and one of the playback beside the raw "

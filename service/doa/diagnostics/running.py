@@ -1,7 +1,7 @@
-"""The diagnostics of a stream: cheap while audio comes in, judged now and then, each fault once.
+"""The diagnostics of a stream: cheap for every block, checked now and then, each fault told once.
 
-Levels are those of the last seconds, so that a channel that dies after an hour is seen at once.
-Sound is compared with the array at the beginning, when a wrong set-up shows, and rarely later.
+Levels cover the last seconds, so a channel that dies after an hour is seen at once. Sound is
+compared with the array at the beginning, when a wrong set-up shows, and rarely later.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from neuralmusic.errors import ChannelMismatch
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics.channels import QUIET, quiet_finding
 from service.doa.diagnostics.copies import copied_groups, copy_findings
@@ -19,27 +20,26 @@ from service.doa.diagnostics.finding import Finding, FindingCode
 from service.doa.diagnostics.levels import DEAD_BELOW, LevelMeter, dead_channels, level_findings
 from service.doa.diagnostics.sound import sound_findings
 from service.doa.types import FloatArray
-from service.errors import ChannelMismatch
 
 FIRST_LEVELS_S = 2.0
 LEVELS_EVERY_S = 5.0
 QUIET_AFTER_S = 10.0
 SOUND_CHECKS_S = (10.0, 20.0, 40.0, 80.0)
-"""Seconds with sound in them, at the stream's beginning"""
+"""Seconds with sound, at the stream's beginning, after which the sound is checked"""
 SOUND_EVERY_S = 300.0
-"""Seconds with sound between later checks, each of an excerpt of its own"""
+"""Seconds with sound between later checks, each on an excerpt of its own"""
 REPEAT_S = 60.0
 RECENT_SEGMENTS = 4
 MAX_BLOCKS = 60
-"""Of direct sound in one comparison of four microphones with the array, to keep it short"""
+"""Most blocks of direct sound in one comparison of four microphones with the array"""
 MIN_BLOCKS = 40
-"""The same of many microphones, each block of which takes longer"""
+"""Most blocks with many microphones, where each takes longer"""
 RECOVERS: frozenset[FindingCode] = frozenset({"channel_dead", "channels_identical"})
-"""Faults that are reported again as soon as they come back after they were gone"""
+"""Faults that are reported again as soon as they return"""
 
 
 class RunningDiagnostics:
-    """What goes wrong with the N channels of a stream; memory does not grow.
+    """Finds the faults of the N channels of a stream; memory does not grow.
 
     One thread may call ``add`` and ``due`` while another is in ``check``.
 
@@ -48,9 +48,9 @@ class RunningDiagnostics:
     sample_rate : int
         Hertz.
     channel_map : sequence of int
-        The stream's channel of each of the N channels, for the findings.
+        The stream's channel of each of the N channels, named in findings.
     array : MicrophoneArray, optional
-        Without it, geometry is not looked at.
+        Without it, geometry is not checked.
 
     Raises
     ------
@@ -74,8 +74,8 @@ class RunningDiagnostics:
         self._meter = LevelMeter(len(self._names))
         self._excerpt = Excerpt(sample_rate, len(self._names))
         self._gathered: list[FloatArray] = []
-        """Blocks that the meter and the excerpt have not seen: a segment at once costs them the
-        calls of one block"""
+        """Blocks that the meter and the excerpt have not seen: they take whole segments, to save
+        calls"""
         self._gathered_samples = 0
         self._samples = 0  # of audio; whole numbers, since sums of seconds drift
         self._sounding_samples = 0  # of audio with sound
@@ -84,7 +84,7 @@ class RunningDiagnostics:
         self._reported: dict[tuple[FindingCode, int | None], float] = {}
 
     def add(self, block: FloatArray) -> None:
-        """Take the next block (N, T) float32 of any length; samples may be NaN or infinite.
+        """Add the next block (N, T) float32 of any length; samples may be NaN or infinite.
 
         The block is kept for a while and must not be changed.
         """
@@ -98,14 +98,14 @@ class RunningDiagnostics:
                 self._take_in()
 
     def due(self) -> bool:
-        """Whether enough audio came in since the last check for another one."""
+        """Whether enough audio has come since the last check for another one."""
         return self._heard >= self._next_levels or self._sounding >= self._next_sound
 
     def check(self) -> list[Finding]:
-        """What is wrong now and was not said in the last ``REPEAT_S`` seconds of audio.
+        """Faults that were not reported in the last ``REPEAT_S`` seconds of audio.
 
-        Most checks look at levels alone; those that compare the sound with the array take a tenth
-        of a second.
+        Most checks read only levels; those that compare the sound with the array take a tenth of a
+        second.
         """
         with self._lock:
             self._take_in()
@@ -138,7 +138,7 @@ class RunningDiagnostics:
         return [finding for finding in findings if self._is_new(finding, now)]
 
     def _take_in(self) -> None:
-        """Show the meter and the excerpt what was gathered."""
+        """Pass the gathered blocks to the meter and the excerpt."""
         if not self._gathered:
             return
         clean = self._meter.add(np.concatenate(self._gathered, axis=-1))
@@ -159,7 +159,7 @@ class RunningDiagnostics:
         return self._sounding_samples / self._sample_rate
 
     def _schedule_sound(self) -> None:
-        """When to listen next; later checks hear only what came since the one before."""
+        """Schedule the next check of the sound; later checks get only newer audio."""
         later = [seconds for seconds in SOUND_CHECKS_S if seconds > self._sounding]
         if later:
             self._next_sound = later[0]
@@ -168,14 +168,14 @@ class RunningDiagnostics:
         self._excerpt = Excerpt(self._sample_rate, len(self._names))
 
     def _forget(self, findings: Sequence[Finding]) -> None:
-        """Faults that are gone may be reported as soon as they come back."""
+        """Forget faults that are gone, so that they are reported as soon as they return."""
         present = {key for finding in findings for key in _keys(finding)}
         for key in list(self._reported):
             if key[0] in RECOVERS and key not in present:
                 del self._reported[key]
 
     def _is_new(self, finding: Finding, now: float) -> bool:
-        """Whether one of the finding's channels was not reported lately; it is, then."""
+        """Whether one of the finding's channels was not reported lately; marks it as reported."""
         keys = _keys(finding)
         new = any(now - self._reported.get(key, -REPEAT_S) >= REPEAT_S for key in keys)
         if new:
@@ -190,7 +190,7 @@ def _alive(segment: FloatArray) -> bool:
 
 
 def _keys(finding: Finding) -> list[tuple[FindingCode, int | None]]:
-    """One per channel: a fault that spreads to another channel is news, one that shrinks is not."""
+    """Keys per channel: a fault that spreads to another channel is new, one that shrinks is not."""
     if not finding.channels:
         return [(finding.code, None)]
     return [(finding.code, channel) for channel in finding.channels]

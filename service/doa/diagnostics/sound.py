@@ -1,4 +1,4 @@
-"""What the sound itself says of the channels: bandwidth, processed channels, delays, geometry."""
+"""Findings from the sound itself: bandwidth, processed channels, delays, geometry."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ def sound_findings(
     array: MicrophoneArray | None,
     max_blocks: int = MAX_BLOCKS,
 ) -> tuple[list[Finding], str | None]:
-    """Findings from an excerpt without dead or copied channels, and why geometry was not judged.
+    """Findings from an excerpt without dead or copied channels, and why geometry was not checked.
 
     Parameters
     ----------
     segments : list of (N, T) float32
-        With sound in them.
+        Segments with sound.
     sample_rate : int
         Hertz.
     names : sequence of int
         Recording channels of the N channels.
     array : MicrophoneArray, optional
-        Of N microphones; without it delays are held against the largest array that there is.
+        N microphones; without it delays are compared with the largest array.
     max_blocks : int
-        Of direct sound that the array is compared with; the time that it takes grows with it.
+        Most blocks of direct sound to compare with the array; the time grows with it.
     """
     if not segments:
         return [], "there is no sound"
     findings = bandwidth_findings(segments, sample_rate)
     processed = processed_findings(segments, sample_rate, names)
     if processed:
-        return [*findings, *processed], "a channel that is no microphone comes first"
+        return [*findings, *processed], "first leave out the channel that is not a microphone"
     delays, unchecked = _delays(segments, sample_rate, names, array, max_blocks)
     return [*findings, *delays], unchecked
 
@@ -59,7 +59,7 @@ def _delays(
     array: MicrophoneArray | None,
     max_blocks: int,
 ) -> tuple[list[Finding], str | None]:
-    """Findings about delays between channels, and why geometry was not judged."""
+    """Findings about delays between channels, and why geometry was not checked."""
     if array is None:
         late = lag_findings(segments, sample_rate, unknown_distances(len(names)), names)
         return late, "no array was named"
@@ -68,14 +68,14 @@ def _delays(
     late = lag_findings(segments, sample_rate, distances, names)
     if not late:
         return fits, unchecked
-    # A wrong scale or order makes channels look late; lags beyond the whole array are no order.
+    # A wrong scale or order makes channels look late; no order explains lags beyond the array.
     beyond = np.full_like(distances, distances.max())
     explained = {"array_scale", "sample_rate_wrong"}
     if not lag_findings(segments, sample_rate, beyond, names):
         explained.add("channel_order")
     if any(finding.code in explained for finding in fits):
         return fits, unchecked
-    return late, "late channels come first"
+    return late, "first align late channels"
 
 
 def _geometry(
@@ -87,7 +87,7 @@ def _geometry(
 ) -> tuple[list[Finding], str | None]:
     """Findings from the comparison of sound and array, and why there was none."""
     if array.num_microphones < MIN_MICROPHONES:
-        return [], f"it takes {MIN_MICROPHONES} microphones to tell a mistake from a direction"
+        return [], f"{MIN_MICROPHONES} microphones are needed to tell a mistake from a direction"
     if array.aperture > MAX_APERTURE:
         return [], f"the array is larger than {MAX_APERTURE:g} m"
     # Above two wavelengths across the array the grid of directions is too coarse.

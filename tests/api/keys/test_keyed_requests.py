@@ -16,10 +16,10 @@ from key_file import KeyFile
 from running_service import RunningService
 from starlette.routing import Mount, Route
 
+from neuralmusic.errors import ConfigError
 from service.access.key_file import ROLES, new_token
 from service.api.middleware.guard import NEEDED, needed_roles
 from service.app import create_app
-from service.errors import ConfigError
 from service.inference.registry import BundleRegistry
 from service.server import warn_if_open
 from service.settings import Settings

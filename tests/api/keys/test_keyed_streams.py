@@ -16,9 +16,9 @@ from key_file import KeyFile
 from running_service import RunningService
 from websocket_stream import PATIENCE, START, end, opened, refusal, started
 
+from neuralmusic import LocalizationClient, ServiceProblem, StreamClient
+from neuralmusic.client_errors import StreamClosed, StreamRefused
 from service.access.key_file import new_token
-from service.client import LocalizationClient, ServiceProblem, StreamClient
-from service.client.errors import StreamClosed, StreamRefused
 
 PIECE = np.random.default_rng(0).integers(-300, 300, (1600, 4)).astype("<i2").tobytes()
 """A tenth of a second"""

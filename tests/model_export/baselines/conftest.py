@@ -1,4 +1,4 @@
-"""What the tests of learned methods share: seeded parameters and a handful of scenes."""
+"""Seeded parameters and a handful of scenes for the tests of learned methods."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The list of methods: complete, in order, with what a user needs to know."""
+"""The list of methods: complete, in order, with source and adaptation."""
 
 from __future__ import annotations
 

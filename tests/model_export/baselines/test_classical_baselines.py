@@ -39,7 +39,7 @@ def test_the_nine_methods_are_in_the_order_of_the_tables() -> None:
 
 @pytest.mark.parametrize("name", ANY_ARRAY)
 def test_one_plane_wave_is_found(name: str) -> None:
-    # Across the grid's wrap and between its angles.
+    # A direction across the grid's wrap and between its angles.
     assert error_deg(METHODS[name], SQUARE, [359.6]) < 1
 
 
@@ -49,7 +49,7 @@ def test_two_plane_waves_are_found(name: str) -> None:
 
 
 def test_tops_tells_two_plane_waves_apart() -> None:
-    # With the band left where it is, the library's bins disagree and it names one direction.
+    # Without moving the band, the library's bins disagree and it finds one direction.
     assert error_deg(METHODS["tops"], SQUARE, [60.0, 120.0]) < 0.5
 
 
@@ -117,7 +117,7 @@ def test_frida_has_no_answer_to_a_sound_from_above_and_counts_that() -> None:
 
 
 def test_frida_counts_what_a_square_tells_and_refuses_the_rest() -> None:
-    # Two pairs of equal sides and two diagonals.
+    # Two distinct sides and two distinct diagonals.
     assert distinct_baselines(SQUARE) == 4
     with pytest.raises(ValueError, match="at most 3 sources"):
         METHODS["frida"].localize(plane_waves(SQUARE, [0.0]), SQUARE, 4)
@@ -142,14 +142,14 @@ def test_focusing_is_unitary_where_the_library_has_no_matrix() -> None:
     azimuth, bins, reference = np.array([50, 310]), np.array([40, 70]), 60
     frequencies = 31.25 * np.array([*bins, reference])
     steering = steering_vectors(SQUARE.positions, frequencies, np.deg2rad(azimuth))
-    # The first two microphones stand along x and hear mirror images alike.
+    # The first two microphones lie along x, so mirrored directions look equal to them.
     assert np.linalg.svd(steering[0, :2], compute_uv=False)[-1] < 1e-6
     finder, _ = Cssm().prepare(SQUARE)
     finder.freq_bins = bins
     matrices = finder.focusing(reference, np.tile(azimuth, (2, 1)))
     unit = np.broadcast_to(np.eye(4), matrices.shape)
     np.testing.assert_allclose(matrices @ matrices.conj().swapaxes(-1, -2), unit, atol=1e-9)
-    # One direction is mapped onto the reference bin's; with two their angle to each other stays.
+    # One direction is mapped onto the reference bin's; two keep their angle to each other.
     alone = finder.focusing(reference, np.tile(azimuth[:1], (2, 1))) @ steering[:2, :, :1]
     np.testing.assert_allclose(alone, steering[[2, 2], :, :1], atol=0.01)
 

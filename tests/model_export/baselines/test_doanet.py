@@ -1,4 +1,4 @@
-"""DOANet: its size, and what its convolutions leave of a window."""
+"""DOANet: its size, and the steps that its convolutions leave of a window."""
 
 from __future__ import annotations
 

@@ -19,11 +19,11 @@ from service.doa.types import FloatArray
 N_FFT = 1024
 LAGS = np.arange(-12.0, 13.0)
 DELAYS = np.array([0, 4, -7])
-"""Samples by which each of three microphones hears later"""
+"""Delays of three microphones in samples"""
 
 
 def delayed_noise(batch: int = 2) -> FloatArray:
-    """(B, 3, T) noise at three microphones."""
+    """Noise (B, 3, T) at three microphones."""
     noise = np.random.default_rng(0).standard_normal((batch, 1, 8192)).astype(np.float32)
     return np.concatenate([np.roll(noise, delay, axis=-1) for delay in DELAYS], axis=1)
 

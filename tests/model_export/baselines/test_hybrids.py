@@ -1,4 +1,4 @@
-"""What all covariance and subspace methods of the comparison owe, as cited and matched."""
+"""Properties of all covariance and subspace methods of the comparison, as cited and matched."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ METHODS = hybrid_methods()
 NAMES = sorted(METHODS)
 HYBRIDS = [name for name in NAMES if METHODS[name].card.kind == "hybrid"]
 POSITIVE = ("subspacenet", "transmusic")
-"""Their covariances have no negative eigenvalue by construction"""
+"""Methods whose covariances have no negative eigenvalue by construction"""
 TRACKS = ("cited", "matched")
 SIX = MicrophoneArray(
     "circle of six",
@@ -54,7 +54,7 @@ def features_of(network: BaselineNetwork, microphones: int = 4) -> Tensor:
 
 
 def covariance_of(network: BaselineNetwork) -> nn.Module:
-    """What maps features to covariances."""
+    """The network from features to covariances."""
     if isinstance(network, HybridNetwork):
         return network.covariance
     assert isinstance(network, MatchedSubspace)
@@ -64,7 +64,7 @@ def covariance_of(network: BaselineNetwork) -> nn.Module:
 def music_spectrum_of(
     network: BaselineNetwork, features: Tensor, array: MicrophoneArray, counts: Tensor
 ) -> Tensor:
-    """(B, 360): of methods that go on to directions, what they find them in."""
+    """Spectrum (B, 360) of a method, also of those that output directions."""
     if isinstance(network, HybridNetwork):
         return network.music_of(features, array, counts).spectrum.mean(1)
     spectrum = network(features, array, counts).spectrum
@@ -143,7 +143,7 @@ def test_turning_the_array_turns_the_spectrum(name: str, track: str) -> None:
 
 
 class IdealCovariance(nn.Module):
-    """Of plane waves, whatever the features."""
+    """Covariances of plane waves, whatever the features."""
 
     def __init__(self, array: MicrophoneArray, bins: list[int], azimuth_deg: list[float]) -> None:
         super().__init__()

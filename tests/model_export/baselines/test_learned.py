@@ -1,4 +1,4 @@
-"""What holds for every learned method that names directions itself, in both tracks."""
+"""Properties of every learned method that outputs directions itself, in both tracks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TRACKS = ("cited", "matched")
 
 
 def network_of(name: str, track: str, num_microphones: int = 4) -> BaselineNetwork:
-    """At the width that one CPU thread can train."""
+    """A network at the width that one CPU thread can train."""
     method = METHODS[name]
     if track == "cited":
         return method.cited(num_microphones, width=method.cited_width)
@@ -82,6 +82,6 @@ STEPS = {
 @pytest.mark.learns
 @pytest.mark.parametrize(("name", "track"), STEPS)
 def test_it_learns(name: str, track: str, scenes: list[SimulatedScene]) -> None:
-    # Six scenes, three of each count, where a step is dear.
+    # Six scenes, three of each count, where a step is expensive.
     few = scenes[2:] if (name, track) == ("transformer", "cited") else scenes
     assert overfitted(network_of(name, track), few, STEPS[name, track]) < 3.0

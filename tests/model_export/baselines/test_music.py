@@ -1,4 +1,4 @@
-"""What stands behind covariances: counts by eigenvalues, peaks to angles."""
+"""MUSIC behind covariance networks: counts by eigenvalues, angles from peaks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sound fields from known places, and what finds them again: NormMUSIC, told the item's array."""
+"""Sound fields from known places, and NormMUSIC on the item's array to find them again."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ MICROPHONES = 0.0323 * np.array(
 )
 """Metres, as the NeuralMUSIC paper's code assumes"""
 ROWS = 14
-"""Of an annotation: steps 5 to 10 are used"""
+"""Rows of an annotation, of which steps 5 to 10 are used"""
 STEP = 800
 
 AddSession = Callable[..., Path]
@@ -30,7 +30,7 @@ AddSession = Callable[..., Path]
 
 @pytest.fixture
 def add_session(tmp_path: Path, write_wav: Callable[..., None]) -> AddSession:
-    """Every sample's value is the number of the step that it is in, in hundredths."""
+    """Every sample's value is the number of its step, in hundredths."""
 
     def add(subject: int, session: int, rows: int = ROWS, audio: FloatArray | None = None) -> Path:
         stem = f"s{subject:02d}_{session}_footstep"

@@ -40,7 +40,7 @@ def write_rows(path: Path, rows: list[list[float]]) -> None:
 
 @pytest.fixture(scope="module")
 def recorded(spherical_waves: Callable[..., FloatArray]) -> FloatArray:
-    """(16, T): a mouth in front of both rings."""
+    """Audio (16, T) of a mouth in front of both rings."""
     microphones = np.array([(x, y, 0.0) for x, y in RING_1 + RING_2])
     return spherical_waves(microphones, np.array([*MOUTH, 0.0]), seconds=SECONDS)
 

@@ -93,7 +93,7 @@ def test_what_is_printed_for_people(
     assert "10.wav" not in text
     assert "\n  and 2 more, see --json\n" in text
     assert text.endswith("\nincomplete\n")
-    # Smaller totals make the same folder whole.
+    # With smaller published totals the same folder is complete.
     monkeypatch.setattr("model_export.datasets.sloclas.CLASSES", 1)
     monkeypatch.setattr("model_export.datasets.sloclas.DIRECTIONS", 1)
     monkeypatch.setattr("model_export.datasets.sloclas.CHANNELS", 2)

@@ -1,4 +1,4 @@
-"""Directions in time and windows: the shorter arc, gaps, unknown sources, what is left out."""
+"""Directions in time and windows: the shorter arc, gaps, unknown sources, left-out windows."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def degrees(directions: Directions, *times: float) -> FloatArray:
 
 
 def moving(times: list[float], *azimuths: list[float]) -> Directions:
-    """Sources in degrees at the same times."""
+    """Directions of sources, in degrees, at the same times."""
     return Directions(np.array(times), np.deg2rad(np.array(azimuths).T))
 
 

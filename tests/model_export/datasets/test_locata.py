@@ -44,7 +44,7 @@ def about_z(degrees: float) -> FloatArray:
 
 
 def clock(seconds: float) -> list[float]:
-    """Calendar time so long after the audio's first sample, a moment before midnight."""
+    """Calendar time at seconds after the audio's first sample, a moment before midnight."""
     time = datetime(2017, 6, 30, 23, 59, 59, 400_000) + timedelta(seconds=seconds)
     second = time.second + time.microsecond / 1e6
     return [time.year, time.month, time.day, time.hour, time.minute, second]
@@ -61,7 +61,7 @@ def add_recording(
     write_wav: Callable[..., None],
     spherical_waves: Callable[..., FloatArray],
 ) -> AddRecording:
-    """One recording of a source at a place, by an array that is turned in time as told."""
+    """One recording of a source at a place, by an array with a given rotation at each time."""
 
     def add(
         source: Sequence[float],
@@ -233,9 +233,9 @@ def test_faults_are_found_and_named(
         "recording6": "missing",
         "recording7": "annotation",
     }
-    assert "take the final one" in found["recording1"][1]
+    assert "download the final one" in found["recording1"][1]
     assert "names no column 'mic7_x'" in found["recording2"][1]
     assert "valid_flag is neither 0 nor 1" in found["recording3"][1]
-    assert "a date is none" in found["recording7"][1]
-    with pytest.raises(DatasetError, match="take the final one"):
+    assert "a date is invalid" in found["recording7"][1]
+    with pytest.raises(DatasetError, match="download the final one"):
         next(LOCATA(tmp_path, "benchmark2").items("dev"))

@@ -1,4 +1,4 @@
-"""The constant offset: found among wrong estimates and over the wrap, from training items only."""
+"""The constant offset: found despite wrong estimates and a wrap, on training items only."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.torch
 def item(
     array: MicrophoneArray, annotated: float, heard: float, split: str = "train"
 ) -> DatasetItem:
-    """An item whose audio is the answer that its estimator will give, in degrees."""
+    """An item whose audio is the answer of its estimator, in degrees."""
     audio = np.full((array.num_microphones, 1), np.deg2rad(heard), np.float32)
     directions = Directions.constant(np.deg2rad(annotated))
     return DatasetItem(audio, array, directions, {"split": split})

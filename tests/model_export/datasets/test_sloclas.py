@@ -103,7 +103,7 @@ def test_faults_are_found_and_named(
     assert found["missing", "class1"].startswith("has sounds from 1 of 72 directions")
     assert found["channels", "segment_001.wav"].startswith("has 2 channels, expected 4: ")
     shutil.rmtree(folder)
-    with pytest.raises(DatasetError, match="class1_400: the folder's name tells no direction"):
+    with pytest.raises(DatasetError, match="class1_400: the folder's name has no direction"):
         list(SLoClas(tmp_path).items("test"))
 
 

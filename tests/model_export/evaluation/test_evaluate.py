@@ -33,7 +33,7 @@ SHORT_NOISES = [replace(noise, seconds=1.5) for noise in NOISES]
 
 
 def _ends(sweep: figures.Sweep) -> figures.Sweep:
-    """The first and the last point."""
+    """A sweep's first and last point."""
     points = list(sweep.points.items())
     return replace(sweep, points=dict(points[:: len(points) - 1]))
 
@@ -106,7 +106,7 @@ def test_a_part_of_the_evaluation_is_printed(
         (["--cells", "M=1*", "--write-scores"], "only print"),
         (["--split", "development", "--out", "somewhere"], "only print"),
         (["--readme", "README.md"], "need --out"),
-        (["--cells", "M=9*"], "no cell is named like 'M=9*'; there are M=1, order 4, 30 dB"),
+        (["--cells", "M=9*"], "no cell matches 'M=9*'; the cells are M=1, order 4, 30 dB"),
     ],
 )
 def test_what_would_leave_half_a_truth_is_refused(

@@ -1,4 +1,4 @@
-"""Recordings without talkers sound as they say, and what is reported of them is counted."""
+"""Recordings without talkers are what their names say, and reports of them are counted."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_every_noise_has_its_level_and_the_array_s_channels(noise: Noise) -> Non
 
 
 def test_a_recording_is_spread_over_all_directions(tmp_path: Path) -> None:
-    """Its spectrum stays and neighbouring microphones lose coherence as in an isotropic field."""
+    """Its spectrum stays, and microphones lose coherence as in a diffuse field."""
     tone = np.sin(2 * np.pi * 3000 * np.arange(RATE) / RATE)
     rain = 0.2 * np.random.default_rng(4).standard_normal(RATE)
     soundfile.write(tmp_path / "rain.flac", 0.1 * (tone + rain), RATE)

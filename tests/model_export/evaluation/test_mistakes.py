@@ -1,4 +1,4 @@
-"""The measurement of mistakes, on one recording of synthetic voices."""
+"""Mistakes made to one recording of synthetic voices are named."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ def test_a_mistake_is_named(name: str, talk: Talk) -> None:
 
 
 def test_a_beam_keeps_the_talker_and_loses_noise(talk: Talk) -> None:
-    noise = talk.noisy() - talk.noisy(np.zeros_like(talk.speech))
+    voice = talk.noisy() - talk.noisy(np.zeros_like(talk.speech))
     quiet = talk.noisy(np.zeros_like(talk.speech))
     assert np.std(beamformed(talk, quiet)) == pytest.approx(0.5 * np.std(quiet[0]), rel=0.02)
-    assert np.std(beamformed(talk, noise)) > 0.8 * np.std(noise[0])
+    assert np.std(beamformed(talk, voice)) > 0.8 * np.std(voice[0])
 
 
 def test_a_row_counts_recordings_and_findings() -> None:

@@ -20,7 +20,7 @@ SQUARE = MicrophoneArray(
     "the recordings'", 0.02285 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
 )
 ZERO_DEG = 40.0
-"""By which the loudspeaker's scale is turned against the array"""
+"""Angle by which the loudspeaker's scale is turned against the array"""
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def test_every_method_is_trained_and_scored_on_a_download(
     text = (docs / "results.md").read_text()
     assert "### Recordings: SLoClas" in text
     rows = {line.split(" | ")[0]: line for line in text.splitlines() if line.startswith("| ")}
-    # The angle between the two zeros is learned: classical methods are right all the same.
+    # The angle between the two zeros is learned, so classical methods are right.
     for method in ("| MUSIC", "| NormMUSIC", "| SRP-PHAT", "| FRIDA"):
         assert float(rows[method].split(" | ")[1]) < 3.0
     assert "2.91" in rows["| NeuralMUSIC"]

@@ -1,4 +1,4 @@
-"""The outcomes in the documents: kept as JSON, renewed between markers, left alone by others."""
+"""The outcomes in the documents: kept as JSON, renewed between markers, kept by other commands."""
 
 from __future__ import annotations
 

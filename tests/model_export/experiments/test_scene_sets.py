@@ -1,4 +1,4 @@
-"""Scene sets: what is kept, unbiased parts, exact symmetries, reproducible simulation."""
+"""Scene sets: storage, unbiased parts, reproducible simulation."""
 
 from __future__ import annotations
 
@@ -7,14 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model_export.experiments.augmentation import symmetries, white_noise
+from model_export.experiments.augmentation import white_noise
 from model_export.experiments.scene_set import Recipe, SceneSet, is_whole, simulated
-from model_export.simulation.arrays import named_array
 from model_export.simulation.protocol import SceneProtocol, simulate_scene
 from model_export.simulation.scenes import WINDOW_SAMPLES
 from model_export.simulation.synthesis import synthetic_voice
 from service.doa.presets import preset
-from service.inference.classical import ClassicalLocalizer
 
 pytestmark = pytest.mark.torch
 
@@ -44,7 +42,7 @@ def test_a_set_reads_as_it_was_simulated(tmp_path: Path, voices) -> None:
 
 
 def test_parts_favour_no_direction(tmp_path: Path) -> None:
-    # Sorted by direction, as a listing of files is: the first fifth would be one sector.
+    # Sorted by direction, like a listing of files: the first fifth would be one sector.
     azimuth = np.linspace(0, 2 * np.pi, 500, endpoint=False)
     scenes = ((np.zeros((4, 8)), np.array([a])) for a in azimuth)
     part = SceneSet.write(tmp_path / "sorted", scenes, SQUARE).share(0.2)
@@ -59,23 +57,6 @@ def test_sparse_directions_are_the_only_ones(voices) -> None:
     for seed in range(5):
         azimuth = np.rad2deg(simulate_scene(protocol, voices, [seed]).azimuth)
         np.testing.assert_allclose(azimuth, 10 * np.round(azimuth / 10), atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [("respeaker-usb-4mic-v2", 4), ("6-mic ring r 36 mm", 6), ("irregular 4-mic", 1)],
-)
-def test_symmetries_are_those_of_the_array(name: str, expected: int) -> None:
-    assert len(symmetries(named_array(name))) == expected
-
-
-def test_a_symmetry_is_what_the_array_hears_of_turned_sources(voices) -> None:
-    scene = simulate_scene(SceneProtocol(orders=(0, 0)), voices, [3])
-    localizer = ClassicalLocalizer("srp_phat", SQUARE)
-    for permutation, turn in symmetries(SQUARE):
-        (estimate,) = localizer.estimate(scene.audio[permutation][None], 1, 1)
-        error = estimate.sources[0].azimuth - scene.azimuth[0] - turn
-        assert abs((error + np.pi) % (2 * np.pi) - np.pi) < np.deg2rad(3)
 
 
 def test_white_noise_has_the_ratio_asked_for() -> None:

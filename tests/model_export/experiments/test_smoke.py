@@ -44,6 +44,6 @@ def test_rows_that_are_no_methods_are_refused(
 ) -> None:
     command = ["experiments", "main", "--speech-commands", str(corpus)]
     assert main([*command, "--methods", "musik"]) == 2
-    assert "no method is named 'musik': music" in capsys.readouterr().err
+    assert "no method is named 'musik'; the methods are music" in capsys.readouterr().err
     assert main([*command, "--methods", "music", "--out", "docs"]) == 2
     assert "--methods only prints" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Trainings of the comparison: resumable, told apart, scored by what they answer."""
+"""Trainings of the comparison: resumable, told apart, scored by their estimates."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_trainings_that_differ_have_folders_of_their_own() -> None:
 
 
 class Oracle:
-    """Names what it is told to look for: the first directions of a list, as many as it is told."""
+    """A method that answers with the first directions of a list, as many as it is told."""
 
     card = CARD
 
@@ -127,7 +127,7 @@ def test_scores_are_those_of_the_answers(scenes: SceneSet) -> None:
     right = score(Oracle(True, scenes, np.deg2rad(2.0)), scenes, Cell("x"))
     assert right["maae_deg"] == pytest.approx(2.0)
     assert right["count_accuracy"] == 1.0
-    # Half of the scenes have two sources, of which one is named: it counts 90 degrees.
+    # Half of the scenes have two sources, one of which is missed: it counts 90 degrees.
     unknown = score(Oracle(True, scenes, 0.0), scenes, Cell("x", count_known=False))
     assert unknown["maae_deg"] == pytest.approx(90 / 2 / 2)
     assert unknown["count_accuracy"] == 0.5

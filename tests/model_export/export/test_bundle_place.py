@@ -1,4 +1,4 @@
-"""Where a bundle is exported to: whole or not at all, and nothing else is lost."""
+"""The place of a new bundle: whole or not at all, and nothing else is lost."""
 
 from __future__ import annotations
 

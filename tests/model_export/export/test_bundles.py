@@ -1,4 +1,4 @@
-"""The whole training side in small: rooms, a few steps, export, and the bundle serves."""
+"""The whole training side in small: rooms, a few steps, export, and serving the bundle."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 from model_export.__main__ import main
 from model_export.export.bundle import digest
 from model_export.export.parameters import trained_model
+from model_export.training.config import PAPER
 from service.audio.recording import Recording
 from service.doa.presets import preset
 from service.inference.bundle import load_bundle
@@ -49,6 +50,8 @@ def test_the_paper_s_stages_become_a_bundle_that_serves(
     check_run(paper_run / "sscl")
     check_run(paper_run / "paper")
     check_bundle(paper_bundle)
+    manifest = json.loads((paper_bundle / "bundle.json").read_text())
+    assert manifest["level_exponent"] == PAPER.level_exponent > 0
 
 
 @pytest.mark.learns

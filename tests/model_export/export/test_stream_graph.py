@@ -28,19 +28,19 @@ pytestmark = pytest.mark.torch
 
 BINS, FRAMES = 256, 64
 REACH = 3 + 4 + 8 + 8 + 16
-"""Frames that the network looks back; before them it saw the window's zero padding"""
+"""Number of past frames that the network sees; the first ones see the window's zero padding"""
 
 
 @cache
 def embedded_graph() -> Engine:
-    """The stream graph that the embedded bundle ships."""
+    """The embedded bundle's stream graph."""
     engine = load_bundle(EMBEDDED_MODELS / "any-array").covariance_stream
     assert engine is not None
     return engine
 
 
 def untrained(trunk: Trunk) -> WeightsNetwork:
-    """Random parameters, and statistics as if there had been a training."""
+    """A network with random parameters and statistics, as if trained."""
     torch.manual_seed(0)
     network = WeightsNetwork(trunk)
     for module in network.modules():
@@ -64,7 +64,7 @@ def features() -> FloatArray:
 
 
 Step = Callable[[list[FloatArray]], list[FloatArray]]
-"""Features and states to weights, attentions and the next states"""
+"""Maps features and states to weights, attentions and the next states"""
 
 
 def exported(network: WeightsNetwork, folder: Path) -> Engine:
@@ -91,7 +91,7 @@ def in_torch(network: WeightsNetwork) -> Step:
 def differences(
     step: Step, network: WeightsNetwork, features: FloatArray, lengths: Iterable[int]
 ) -> float:
-    """The largest one of a window in steps from a whole window, against its maximum."""
+    """Largest difference of a window in steps from a whole window, relative to its maximum."""
     with torch.no_grad():
         expected = [each.numpy()[0] for each in network(torch.from_numpy(features))]
     ahead = network.lookahead
@@ -106,7 +106,7 @@ def differences(
         position = min(position + length, FRAMES)
         if position == FRAMES:
             break
-    # The newest frames saw zeros behind them, as a window's last ones do.
+    # The newest frames have zeros for their future, as a window's last ones do.
     return max(
         float(np.abs(kept[ahead:] - whole)[REACH:].max() / np.abs(whole).max())
         for kept, whole in zip(found, expected, strict=True)

@@ -1,4 +1,4 @@
-"""Fine-tuning: a bundle holds what it takes, learns from recordings, and is refused if worse."""
+"""Fine-tuning: a bundle holds its parameters, learns from recordings, is refused if worse."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from model_export.simulation.room_bank import RoomBank
 from model_export.simulation.rooms import RoomSpec
 from model_export.simulation.synthesis import synthetic_voice
 from model_export.training.variants import collate
+from neuralmusic.errors import BundleCorrupt
 from service.cli.inputs import read_array
 from service.doa.array import MicrophoneArray
 from service.doa.features import coherence_features, unit_vectors_and_power
 from service.doa.types import FloatArray
-from service.errors import BundleCorrupt
 from service.inference.bundle import MANIFEST, PARAMETERS, file_sha256, load_bundle
 from service.inference.descriptors import NUM_DESCRIPTORS
 from service.inference.registry import EMBEDDED_MODELS, self_test
@@ -169,7 +169,7 @@ def test_whole_directions_are_held_out(own_room: Path, square: MicrophoneArray) 
     tuned, held = hold_out([*recordings, *recordings], 0.25)
     assert sorted(r.direction for r in held) == [90, 90, 270, 270]
     assert len(tuned) == 12
-    with pytest.raises(ValueError, match="the recordings are of 1 only"):
+    with pytest.raises(ValueError, match="the recordings have only 1:"):
         hold_out(recordings[:1], 0.25)
 
 
@@ -227,7 +227,7 @@ def test_an_array_that_is_mounted_turned_is_found_out(
     assert outcome.after["as recorded"]["maae_deg"] < 2.0
     assert outcome.better
     start, new = (load_bundle(f).manifest.training for f in (weights, tmp_path / "new"))
-    assert new["parameters"] == start["parameters"]  # only the array was wrong
+    assert new["parameters"] == start["parameters"]  # only the array changed
     towards = np.arctan2(*outcome.array.positions[:, 1::-1].T) - np.deg2rad([45, 135, 225, 315])
     turned = np.angle(np.exp(1j * towards).mean())
     assert np.rad2deg(turned) == pytest.approx(4.0, abs=1.5)
@@ -315,7 +315,7 @@ def test_a_worse_bundle_is_not_written(
     plane_waves: Callable[..., FloatArray],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    # All labels but those of the directions that are held out, 90 and 270, are wrong.
+    # All labels are wrong but those of the held-out directions, 90 and 270.
     labels = [10, 55, 90, 145, 190, 235, 270, 325]
     folder = record_around(tmp_path, square, plane_waves, labels)
     models = tmp_path / "models"
@@ -337,7 +337,7 @@ def test_training_that_diverges_says_so(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--name", "My Bundle"], "'My Bundle' is no name for a bundle"),
+        (["--name", "My Bundle"], "'My Bundle' cannot name a bundle"),
         (["--rooms", "rooms"], "both --rooms and --speech-commands"),
         (["--array", "respeaker-usb-4mic"], "did you mean 'respeaker-usb-4mic-v2'"),
         (["--steps", "0"], "steps and batch_size must be positive"),

@@ -1,4 +1,4 @@
-"""Labelled recordings: what users write down, what is refused and why, what scenes come out."""
+"""Labelled recordings: labels, refusals and their reasons, and the scenes made of them."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def label(folder: Path, *rows: str, header: str = "file,azimuth_deg") -> None:
 
 
 def with_pauses(square: MicrophoneArray, plane_waves: PlaneWaves) -> FloatArray:
-    """(4, T): a second of noise, one and a half of sound, a second of noise."""
+    """Audio (4, T): a second of noise, one and a half of sound, a second of noise."""
     sound = plane_waves(square, [90.0], seconds=1.5)
     rng = np.random.default_rng(0)
     noise = 0.001 * rng.standard_normal((4, 56000)).astype(np.float32)

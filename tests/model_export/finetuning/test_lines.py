@@ -1,4 +1,4 @@
-"""Arrays on a line in the training side: they stay lines, and are asked for what they can hear."""
+"""Linear arrays in training: they stay lines, and their targets are directions they can hear."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ PANEL = MicrophoneArray("panel", np.array([[0, y, z] for y in (0, 0.05) for z in
 
 
 def calibrated(array: MicrophoneArray) -> MicrophoneArray:
-    """With every microphone 3 mm off in all directions."""
+    """Calibration with every microphone 3 mm off in all directions."""
     calibration = ArrayCalibration(array)
     offsets = torch.from_numpy(np.random.default_rng(1).normal(0, 0.003, array.positions.shape))
     with torch.no_grad():
         calibration.offsets += offsets
     moved = calibration.array()
-    # What is trained is what is written.
+    # The trained positions are those that are written.
     azimuth = torch.linspace(0, 6, 20)
     unit = np.stack([azimuth.cos(), azimuth.sin(), 0 * azimuth])
     centred = moved.positions - moved.positions.mean(axis=0)

@@ -1,4 +1,4 @@
-"""Talkers who walk sound as physics has it, and come from where the truth says."""
+"""Walking talkers sound as physics demands, and come from their true directions."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_each_response_holds_alone_at_its_knot_and_half_between_two() -> None:
 
 
 def test_a_walk_has_no_clicks() -> None:
-    """A tone stays a tone: fading moves its power by the Doppler shift and no further."""
+    """A tone stays a tone: fading spreads its power no farther than the Doppler shift."""
     tone = np.sin(2 * np.pi * 1000 * np.arange(RATE) / RATE)
     anechoic = RoomSpec(ROOM.size, ROOM.centre, rt60=0.0)
     found = walk(anechoic, SQUARE, Talker(Arc(0.3, np.deg2rad(40)), tone))[0, 1000:]
@@ -69,7 +69,7 @@ def test_a_walk_has_no_clicks() -> None:
 
 @pytest.mark.parametrize("velocity_deg", [-30.0, 25.0])
 def test_the_sound_comes_from_where_the_talker_is(velocity_deg: float) -> None:
-    """NormMUSIC follows the truth: windows of 0.2 s against their middle."""
+    """NormMUSIC's estimate in windows of 0.2 s is the true azimuth in their middle."""
     rng = np.random.default_rng(3)
     talker = Talker(Arc(1.0, np.deg2rad(velocity_deg)), rng.standard_normal(2 * RATE))
     scene = simulate_moving(rng, ROOM, SQUARE, [talker], snr_db=20.0)

@@ -1,4 +1,4 @@
-"""Noises and imperfections of training scenes against what physics and converters do."""
+"""Noises and imperfections of training scenes against physics and converters."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def rng() -> np.random.Generator:
 
 
 def share(audio: np.ndarray, low: float, high: float) -> float:
-    """Of the power between two frequencies."""
+    """Share of the power between two frequencies in hertz."""
     frequency, density = scipy.signal.welch(audio, 16000, nperseg=4096)
     return float(density[(frequency >= low) & (frequency < high)].sum() / density.sum())
 
@@ -59,7 +59,7 @@ def test_noise_shaped_like_a_recording_has_its_spectrum_and_its_pauses(
     shaped = shaped_like(noise, recording)
     assert share(shaped[0, 9000:], 0, 1500) > 0.95
     assert np.square(shaped[:, :7000]).mean() < 1e-3 * np.square(shaped[:, 9000:]).mean()
-    # Microphones that were independent before stay so.
+    # Independent microphones stay independent.
     assert abs(np.corrcoef(shaped[:2, 9000:])[0, 1]) < 0.2
 
 

@@ -28,6 +28,7 @@ from model_export.simulation.scene_config import SceneConfig
 from model_export.simulation.scenes import (
     WINDOW_SAMPLES,
     convolve,
+    convolve_window,
     draw_scene,
 )
 from model_export.simulation.synthesis import synthetic_voice
@@ -64,7 +65,7 @@ def test_every_source_has_unit_power_and_the_noise_has_its_level(voices) -> None
     quiet = simulate_scene(SceneProtocol(num_sources=2, snr_db=200.0), voices, [1, 2])
     noisy = simulate_scene(SceneProtocol(num_sources=2, snr_db=10.0), voices, [1, 2])
     np.testing.assert_allclose(quiet.azimuth, noisy.azimuth)
-    # The whole utterance with its tail has unit power; the window may cut the tail off.
+    # The whole utterance with its tail has unit power; the window may cut off the tail.
     assert np.var(quiet.audio[0]) == pytest.approx(2.0, rel=0.35)
     noise = noisy.audio - quiet.audio
     assert np.var(noise) == pytest.approx(2 * 10 ** (-10 / 10), rel=0.05)
@@ -178,6 +179,19 @@ def test_convolution_does_not_wrap_round() -> None:
     assert wet[0].argmax() == 148
 
 
+@pytest.mark.parametrize("start", [0, 100, 3000])
+def test_a_convolved_window_is_that_of_the_whole_convolution(start: int) -> None:
+    rng = np.random.default_rng(4)
+    dry = rng.standard_normal(WINDOW_SAMPLES + 3000).astype(np.float32)
+    responses = rng.standard_normal((2, 1000)).astype(np.float32)
+    whole = np.stack([np.convolve(dry, each) for each in responses])
+    np.testing.assert_allclose(
+        convolve_window(dry, responses, start),
+        whole[:, start : start + WINDOW_SAMPLES],
+        atol=1e-3,
+    )
+
+
 def test_the_paper_s_room_is_the_paper_s() -> None:
     room = paper_room(4)
     assert (room.size, room.centre, room.max_order) == ((7, 7, 3), (3, 3, 1), 4)
@@ -188,7 +202,7 @@ PLACES = np.deg2rad([20.0, 120.0, 250.0, 255.0])
 
 @pytest.fixture(scope="module")
 def chunk() -> RoomChunk:
-    """One room with four places for sources."""
+    """One room with four source positions."""
     array = preset("respeaker-usb-4mic-v2")
     sources = 1.5 * unit_vectors(PLACES)
     rng = np.random.default_rng(8)

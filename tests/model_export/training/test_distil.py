@@ -1,4 +1,4 @@
-"""Distillation: a lighter network comes to say what its teacher says."""
+"""Distillation: a lighter network learns its teacher's outputs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BINS, FRAMES = 256, 16
 
 
 def cells(seed: int) -> FloatArray:
-    """Features like those of quiet cells with a loud band that comes and goes."""
+    """Features of quiet cells with a loud band that comes and goes."""
     rng = np.random.default_rng(seed)
     features = rng.standard_normal((2, 5, BINS, FRAMES)).astype(np.float32)
     features[:, 2:] = np.abs(features[:, 2:]).clip(0, 1)
@@ -67,7 +67,7 @@ def test_its_teacher_does_not_learn_and_is_not_saved(batch: CellBatch) -> None:
     assert all(parameter.grad is None for parameter in teacher.model.parameters())
     for name, tensor in teacher.model.state_dict().items():
         torch.testing.assert_close(tensor, before[name])
-    # What follows the trunk begins as the teacher's; the trunk is its own.
+    # The layers behind the trunk start as the teacher's; the trunk is its own.
     state = task.model.state_dict()
     torch.testing.assert_close(state["network.head.weight"], before["network.head.weight"])
     assert state["network.blocks.0.0.weight"].shape != before["network.blocks.0.0.weight"].shape
@@ -77,7 +77,7 @@ def test_its_teacher_does_not_learn_and_is_not_saved(batch: CellBatch) -> None:
 
 
 def test_nothing_is_lost_where_it_says_the_same(batch: CellBatch) -> None:
-    """A student that is its own teacher has no divergence: the losses have their least at zero."""
+    """A student that is its own teacher has no divergence: the losses are zero at their minimum."""
     _, task = taught()
     task.model.eval()
     task._teacher = task.model.network

@@ -1,4 +1,4 @@
-"""The paper's networks: sizes, Hermitian matrices, fusion and export as its text has them."""
+"""The paper's networks: sizes, Hermitian matrices, fusion and export by its text."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def parameters(module: nn.Module) -> int:
 
 
 def seen(network: nn.Module, microphones: int = 4) -> nn.Module:
-    """The network with batch statistics of one pass, evaluating."""
+    """The network in evaluation, with batch statistics of one pass."""
     network.train()
     network(torch.randn(2, 2 * microphones, 257, 64))
     return network.eval()
@@ -62,7 +62,7 @@ def test_an_encoder_gives_64_features_for_every_bin_and_its_weights_stand_alone(
 
 
 def test_the_blocks_are_the_paper_s_convolution_norm_relu_pool() -> None:
-    # The pooling stands before the ReLU to save time; the numbers must be those of the text.
+    # Pooling stands before the ReLU to save time; the numbers must equal those of the text's order.
     torch.manual_seed(0)
     block = Encoder(1)[0].eval()
     features = torch.randn(2, 2, 19, 12)

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.torch
 
 @pytest.fixture(autouse=True)
 def forgotten() -> Iterator[None]:
-    """What was found out of another processor is not remembered."""
+    """Results for another processor are not cached."""
     precision._has_bfloat16.cache_clear()
     yield
     precision._has_bfloat16.cache_clear()

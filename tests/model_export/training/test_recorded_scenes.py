@@ -1,4 +1,4 @@
-"""Unlabelled recordings as training scenes: what is read, what is cut, and what is refused."""
+"""Unlabelled recordings as training scenes: reading, cutting, and refusals."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_of_ten_files_one_validates(tmp_path: Path) -> None:
 
 
 def refusal(folder: Path, capsys: pytest.CaptureFixture[str], config: str = "paper-sscl") -> str:
-    """What the command says when it ends with status 2."""
+    """Message of the command, which ends with status 2."""
     run = str(folder / "run")
     command = ["train", "--config", config, "--run", run, "--recordings", str(folder), "--smoke"]
     assert main(command) == 2

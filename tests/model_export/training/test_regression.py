@@ -1,16 +1,14 @@
-"""The paper's pipeline under training: geometry, losses, rooms of the bound array, learning."""
+"""The paper's pipeline under training: geometry, losses, scores, learning."""
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from model_export.simulation import rooms
-from model_export.simulation.array_rooms import ArrayRooms, simulate_array_chunk
 from model_export.simulation.scenes import WINDOW_SAMPLES, Scene
 from model_export.training.config import ANY_ARRAY, PAPER
 from model_export.training.regression import (
@@ -29,17 +27,16 @@ from service.doa.fusion import attention_fusion, attention_weights, normalise
 from service.doa.music import signal_power
 from service.doa.presets import preset
 from service.doa.steering import azimuth_grid, steering_vectors
-from service.doa.types import FloatArray
 
 pytestmark = pytest.mark.torch
 
 
 ARRAY = preset("respeaker-usb-4mic-v2")
-CONFIG = replace(PAPER, grid_size=72)
+CONFIG = replace(PAPER, grid_size=72, bin_step=1)
 
 
 def plane_waves(rng: np.random.Generator, *azimuths_deg: float) -> Scene:
-    """Anechoic noise bursts from these azimuths, and sensor noise 30 dB below."""
+    """Anechoic noise bursts from these azimuths, with sensor noise 30 dB below."""
     azimuth = np.deg2rad(np.array(azimuths_deg, dtype=float))
     frequencies = np.fft.rfftfreq(WINDOW_SAMPLES, 1 / STFT.sample_rate)
     steering = steering_vectors(ARRAY.positions, frequencies, azimuth)  # (F, N, M)
@@ -67,8 +64,9 @@ def turned(batch: RegressionBatch, angle: float) -> RegressionBatch:
 
 
 def fused(task: RegressionTask, batch: RegressionBatch) -> Tensor:
-    result, _ = task._run(batch)
-    return result.fused
+    products = rotated_products(task.array, batch.rotation, batch.grid[None])[0]
+    fused: Tensor = task.model(batch.features, products, batch.mask.sum(-1)).fused
+    return fused
 
 
 @torch.no_grad()
@@ -134,7 +132,7 @@ def test_projectors_of_mixed_counts_are_those_of_each_scene_alone() -> None:
     covariance = root @ root.mH
     counts = torch.tensor([2, 0, 1, 4, 3, 1])
     projectors = counted_projector(covariance, counts)
-    for scene, count in enumerate([2, 1, 1, 3, 3, 1]):  # 0 and 4 of 4 have no two subspaces
+    for scene, count in enumerate([2, 1, 1, 3, 3, 1]):  # 0 and 4 of 4 leave one subspace
         torch.testing.assert_close(projectors[scene], signal_projector(covariance[scene], count))
 
 
@@ -176,51 +174,47 @@ def test_the_variant_s_task_needs_an_array() -> None:
         RegressionTask(ANY_ARRAY)
 
 
-@pytest.fixture
-def few_rooms(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rooms, "CHUNK_ROOMS", 3)
-    monkeypatch.setattr(rooms, "random_room", lambda rng: rooms.paper_room(int(rng.integers(2))))
-
-
-@pytest.mark.usefixtures("few_rooms")
-def test_rooms_of_the_bound_array_follow_from_the_generator_and_differ() -> None:
-    rng = np.random.default_rng(3)
-    first, second = ArrayRooms(ARRAY).chunk(rng), ArrayRooms(ARRAY).chunk(rng)
-    again = ArrayRooms(ARRAY).chunk(np.random.default_rng(3))
-    np.testing.assert_array_equal(first.responses, again.responses)
-    assert not np.array_equal(first.azimuth, second.azimuth)
-
-
-@pytest.mark.usefixtures("few_rooms")
-def test_simulated_responses_arrive_from_where_their_labels_say() -> None:
-    chunk = simulate_array_chunk(5, ARRAY)
-    assert chunk.responses.shape[:3] == (3, rooms.SOURCES_PER_ROOM, 4)
-    assert chunk.diffuse.shape[:2] == (3, 4)
-    np.testing.assert_array_equal(chunk.positions, np.stack([ARRAY.positions] * 3))
-    for responses, azimuths in zip(chunk.responses, chunk.azimuth, strict=True):
-        for response, azimuth in zip(responses, azimuths, strict=True):
-            error = np.rad2deg(onset_azimuth(response.astype(np.float64)) - azimuth)
-            assert abs((error + 180) % 360 - 180) < 8  # 1 mm of jitter on 32 mm of radius
-
-
-def onset_azimuth(response: FloatArray) -> float:
-    """Azimuth in radians of the direct sound in a response (N, T), by phase alignment."""
-    begin = max(0, int(np.argmax(np.abs(response[0]))) - 20)
-    spectrum = np.fft.rfft(response[:, begin : begin + 40] * np.hanning(40), 256)
-    frequencies = np.fft.rfftfreq(256, 1 / STFT.sample_rate)
-    band = (frequencies > 500) & (frequencies < 5000)
-    azimuth = azimuth_grid()
-    aligned = [
-        np.abs(
-            np.einsum(
-                "fna,nf->fa",
-                steering_vectors(ARRAY.positions, frequencies[band], azimuth, elevation=e).conj(),
-                spectrum[:, band],
-            )
-        ).sum(0)
-        for e in np.deg2rad(np.arange(0, 60, 10.0))
+@torch.no_grad()
+def test_half_of_the_bins_form_the_spectra_that_all_of_them_would(task: RegressionTask) -> None:
+    task.model.eval()
+    batch = batch_of((20.0,), (100.0, 250.0))
+    half = replace(batch, bins=torch.arange(0, 257, 2))
+    for name, value in task.losses(half).items():
+        assert value.item() == pytest.approx(task.losses(batch)[name].item(), rel=0.05), name
+    drawn = [
+        collate_regression(
+            replace(CONFIG, bin_step=2),
+            np.random.default_rng(seed),
+            [plane_waves(np.random.default_rng(0), 20.0)],
+        ).bins
+        for seed in range(8)
     ]
-    return float(azimuth[np.argmax(np.max(aligned, axis=0))])
+    assert {int(bins[0]) for bins in drawn} == {0, 1}
+    assert all((bins.diff() == 2).all() and bins[-1] >= 255 for bins in drawn)
+
+
+@torch.no_grad()
+def test_scores_are_the_errors_of_the_peaks_that_the_service_picks(task: RegressionTask) -> None:
+    task.model.eval()
+    batch = batch_of((20.0,), (100.0, 250.0), ())
+    scores = task.scores(batch)
+    assert scores["error_deg"].shape == (2,)
+    assert scores["count_accuracy"].shape == (3,)
+    azimuth = np.rad2deg(batch.azimuth[0, 0].item())
+    spectrum = fused(task, replace(batch, grid=torch.from_numpy(azimuth_grid(360)).float()))[0]
+    nearest = abs((spectrum.argmax().item() - azimuth + 180) % 360 - 180)
+    assert scores["error_deg"][0].item() == pytest.approx(nearest, abs=1)
+
+
+def test_a_known_count_trains_no_count_branch() -> None:
+    task = RegressionTask(replace(CONFIG, count_weight=0.0))
+    batch = batch_of((20.0,))
+    losses = task.losses(batch)
+    assert "count" not in losses
+    with torch.no_grad():
+        assert "count_accuracy" not in task.scores(batch)
+    losses["loss"].backward()
+    assert all(parameter.grad is None for parameter in task.model.count.parameters())
 
 
 @pytest.mark.learns
@@ -237,16 +231,6 @@ def test_the_pipeline_learns_four_scenes() -> None:
         optimizer.step()
     task.model.eval()
     with torch.no_grad():
-        scene_scores = [
-            task.scores(
-                RegressionBatch(*(_row(getattr(batch, f.name), scene) for f in fields(batch)))
-            )
-            for scene in range(4)
-        ]
-    assert max(scores["peak_error_deg"] for scores in scene_scores) < 5
-    assert min(scores["count_accuracy"] for scores in scene_scores) == 1
-
-
-def _row(value: Tensor, scene: int) -> Tensor:
-    """One scene of a batch's tensor; what the scenes share is left whole."""
-    return value[scene : scene + 1] if value.ndim > 0 and len(value) == 4 else value
+        scores = task.scores(batch)
+    assert scores["error_deg"].max() < 5
+    assert scores["count_accuracy"].min() == 1

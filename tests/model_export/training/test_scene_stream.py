@@ -1,4 +1,4 @@
-"""Scenes become batches: what is known of every cell, and no network where they are simulated."""
+"""Scenes become batches with the truth of every cell, and without any network."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from model_export.simulation.scenes import WINDOW_SAMPLES, Scene
+from model_export.simulation.synthesis import synthetic_voice
 from model_export.training.config import (
     ANY_ARRAY,
     ANY_ARRAY_LIGHT,
@@ -18,7 +19,7 @@ from model_export.training.config import (
     PAPER_SSCL,
     TrainingConfig,
 )
-from model_export.training.scene_stream import SceneStream
+from model_export.training.scene_stream import ProtocolScenes, SceneStream
 from model_export.training.task import SHORT_SAMPLES, STFT
 from model_export.training.weights_task import WeightsBatch, direct_share
 from service.doa.presets import preset
@@ -31,12 +32,25 @@ SAMPLES = WINDOW_SAMPLES
 
 
 class Silence:
-    """Scenes of faint noise with a talker at 1 rad, of whom nothing else is known."""
+    """Scenes of faint noise with a talker at 1 rad, whose direct sound is unknown."""
 
     def scenes(self, rng: np.random.Generator, config: TrainingConfig) -> Iterator[Scene]:
         while True:
             audio = rng.standard_normal((4, WINDOW_SAMPLES)).astype(np.float32)
             yield Scene(audio, ARRAY.positions, np.ones(1))
+
+
+def test_development_scenes_are_the_same_for_every_seed_and_have_the_counts_asked_for() -> None:
+    voices = [synthetic_voice(np.random.default_rng(0), 1.0)]
+    source = ProtocolScenes("respeaker-usb-4mic-v2", voices)
+    config = replace(PAPER, scenes=replace(PAPER.scenes, source_counts=(0.3, 0.4, 0.3)))
+    first, again = (
+        list(islice(source.scenes(np.random.default_rng(seed), config), 8)) for seed in (1, 2)
+    )
+    for one, other in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one.audio, other.audio)
+        assert one.audio.shape == (4, WINDOW_SAMPLES)
+    assert {len(scene.azimuth) for scene in first} == {0, 1, 2}
 
 
 def refuse(*_: object) -> None:

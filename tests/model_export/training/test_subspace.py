@@ -1,4 +1,4 @@
-"""The differentiable projector against finite differences, autograd and the numpy that serves."""
+"""The differentiable projector against finite differences, autograd and the service's numpy."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_the_projector_is_one() -> None:
 
 
 def products_of(array: MicrophoneArray) -> Tensor:
-    """(F, N^2, 72) products of the array's steering vectors."""
+    """Products (F, N^2, 72) of the array's steering vectors."""
     centred = array.positions - array.positions.mean(axis=0)
     delays = torch.from_numpy(centred @ unit_vectors(azimuth_grid(72)).T / 343.0)
     return delay_products(delays[None].float(), torch.from_numpy(FREQUENCIES).float())[0]

@@ -16,7 +16,7 @@ SIGMA = float(np.deg2rad(5.0))
 
 
 def target_of(*azimuths_deg: float) -> Tensor:
-    """Target (360,) of sources at these azimuths, among padding that must not count."""
+    """Target (360,) of sources at these azimuths; the padding between them must not count."""
     azimuth = torch.zeros(1, 4)
     azimuth[0, : len(azimuths_deg)] = torch.deg2rad(torch.tensor(azimuths_deg))
     return target_spectrum(azimuth, torch.arange(4)[None] < len(azimuths_deg), GRID, SIGMA)[0]

@@ -1,4 +1,4 @@
-"""Runs: interrupted in the middle they go on where they stopped, finished they train nothing."""
+"""Runs: interrupted ones continue where they stopped, finished ones train nothing."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ import pytest
 import torch
 
 from model_export.simulation.scenes import WINDOW_SAMPLES, Scene
-from model_export.training.config import ANY_ARRAY, TrainingConfig
+from model_export.training.config import ANY_ARRAY, PAPER_KNOWN, TrainingConfig
 from model_export.training.fitting import checkpoint
+from model_export.training.regression import RegressionPipeline
 from model_export.training.scene_stream import SceneStream
-from model_export.training.train import WARM_UP, train
+from model_export.training.train import WARM_UP, load_run, train
 from model_export.training.weights_task import WeightsTask
 from service.doa.presets import preset
 
@@ -33,7 +34,7 @@ class Interrupted(Exception):
 
 @dataclass
 class Noise:
-    """Scenes of noise that is said to come from anywhere; the supply may break off."""
+    """Scenes of noise with random directions as labels; the supply may break off."""
 
     batches: int | None = None
 
@@ -94,6 +95,33 @@ def test_a_run_that_is_interrupted_goes_on_at_its_checkpoint(tmp_path: Path) -> 
     assert {int(moment["step"]) for moment in moments} == {6}  # not those of four steps
     for name, parameter in expected.model.state_dict().items():
         torch.testing.assert_close(trained.model.state_dict()[name], parameter, msg=name)
+
+
+def test_a_run_that_is_trained_otherwise_goes_on_and_leaves_the_text_s_network(
+    tmp_path: Path,
+) -> None:
+    config = replace(
+        PAPER_KNOWN[0], starts_from=None, steps=4, batch_size=2, checkpoint_every=2,
+        validation_scenes=2,
+    )  # fmt: skip
+    with pytest.raises(Interrupted):
+        train(config, tmp_path, Noise(batches=3), Noise(), workers=0)
+    kept = checkpoint(tmp_path)
+    assert kept["step"] == 2
+    free = kept["model"]["covariance.encoder.3.0.parametrizations.weight.original"]
+    assert len(free) == config.smooth_kernels  # goes on as it was trained
+    trained = train(config, tmp_path, Noise(), Noise(), workers=0)
+    assert [row["step"] for row in curve(tmp_path)] == ["2", "4"]
+    _, loaded, step = load_run(tmp_path)
+    plain = RegressionPipeline(4).state_dict()
+    assert step == 4
+    for task in (trained, loaded):
+        state = task.model.state_dict()
+        assert {name: value.shape for name, value in state.items()} == {
+            name: value.shape for name, value in plain.items()
+        }
+    for name, value in trained.model.state_dict().items():
+        torch.testing.assert_close(loaded.model.state_dict()[name], value, msg=name)
 
 
 def test_a_finished_run_trains_nothing_and_other_settings_are_refused(tmp_path: Path) -> None:

@@ -13,10 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.access.key_file import ROLES, TOKEN, Key, new_token, read_keys, token_sha256
-from service.access.keys import ANYONE, Keys, matching
-from service.access.usage import Usage
-from service.errors import (
+from neuralmusic.errors import (
     AudioQuota,
     ConfigError,
     DoaError,
@@ -27,6 +24,9 @@ from service.errors import (
     TooManySessions,
     TooManyUploads,
 )
+from service.access.key_file import ROLES, TOKEN, Key, new_token, read_keys, token_sha256
+from service.access.keys import ANYONE, Keys, matching
+from service.access.usage import Usage
 
 NOON = datetime(2030, 1, 1, 12, tzinfo=UTC)
 
@@ -116,7 +116,7 @@ def test_a_role_opens_its_own_door_and_an_admin_every_one(file: Path) -> None:
             if role in (wanted, "admin"):
                 assert keys.check(key, wanted) == key
             else:
-                with pytest.raises(RoleMissing, match=f"needs {wanted}"):
+                with pytest.raises(RoleMissing, match=f"needs the role {wanted}"):
                     keys.check(key, wanted)
 
 
@@ -154,8 +154,8 @@ def test_a_reload_takes_away_adds_and_changes(file: Path) -> None:
     [
         ("", "holds no key"),
         ("# only a comment\n\n", "holds no key"),
-        ("nmk_secret\n", "line 1: it is no JSON object"),
-        ("[" * 100_000, "line 1: it is no JSON object"),
+        ("nmk_secret\n", "line 1: it is not a JSON object"),
+        ("[" * 100_000, "line 1: it is not a JSON object"),
         ('# c\n{"name": "a"}', "line 2: sha256: Field required"),
         (json.dumps(entry("t", roles=["root"])), "line 1: roles.0: Input should be 'localize'"),
         (json.dumps(entry("t", roles=[])), "roles"),
@@ -184,7 +184,7 @@ def test_a_file_that_is_not_there_or_no_text_is_a_sentence(file: Path) -> None:
     with pytest.raises(ConfigError, match="No such file"):
         read_keys(file)
     file.write_bytes(b"\xff\xfe")
-    with pytest.raises(ConfigError, match="no text file"):
+    with pytest.raises(ConfigError, match="not a text file"):
         read_keys(file)
     with pytest.raises(ConfigError, match="cannot be read"):
         read_keys(file.parent)

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from service import errors
+from neuralmusic import errors
 from service.audio.recording import AudioLimits, Recording
 
 RATE = 16_000

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from neuralmusic.errors import InvalidOption
 from service.batch.archive import find_recordings
-from service.errors import InvalidOption
 
 
 def touch(folder: Path, *names: str) -> None:

@@ -49,7 +49,7 @@ def test_an_archive_becomes_one_file(
     before = Path("out.jsonl").read_bytes()
     code, out, err = run(capsys, *command)
     assert (code, err) == (1, "")
-    assert out.splitlines()[0] == "out.jsonl: 2 of 4 recordings localized, 4 of them before"
+    assert out.splitlines()[0] == "out.jsonl: 2 of 4 recordings localized, 4 of them earlier"
     assert Path("out.jsonl").read_bytes() == before
     assert run(capsys, "batch", "archive/left.wav", *command[2:])[0] == 0
 
@@ -98,7 +98,7 @@ def test_a_killed_run_goes_on_where_it_was(
         write_talker(archive / f"{name}.wav")
     write_talker(archive / "f.wav", seconds=60.0)
     flags = ["batch", "archive/*.wav", *FLAGS, "--jobs", "1", "--out", "out.jsonl"]
-    code = "import sys; from service.cli import main; sys.exit(main())"
+    code = "import sys; from neuralmusic.cli import main; sys.exit(main())"
     command = [sys.executable, "-c", code, *flags]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
         assert running.stderr is not None

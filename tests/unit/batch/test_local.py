@@ -10,15 +10,15 @@ from typing import Any
 
 import pytest
 
+from neuralmusic.errors import WorkerLost
 from service.batch.archive import FoundRecording, find_recordings
 from service.batch.local import localize_here
 from service.batch.plan import Plan
-from service.errors import WorkerLost
 
 pytestmark = pytest.mark.processes
 
 LONG_S = 20.0
-"""Seconds of audio, of which a part is done long before the rest"""
+"""Seconds of audio: part of it is done long before the rest"""
 
 
 def children() -> list[int]:

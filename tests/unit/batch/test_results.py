@@ -11,18 +11,18 @@ from typing import Any
 
 import pytest
 
-from service.batch.archive import FoundRecording
-from service.batch.jsonl import JsonLinesResult
-from service.batch.parquet import ParquetResult, beside, rows_of
-from service.batch.plan import Plan
-from service.batch.record import Record, failed
-from service.errors import (
+from neuralmusic.errors import (
     DoaError,
     InvalidOption,
     NotAudio,
     RecordingUnreadable,
     WorkerLost,
 )
+from service.batch.archive import FoundRecording
+from service.batch.jsonl import JsonLinesResult
+from service.batch.parquet import ParquetResult, beside, rows_of
+from service.batch.plan import Plan
+from service.batch.record import Record, failed
 
 KINDS = {".jsonl": JsonLinesResult, ".parquet": ParquetResult}
 
@@ -37,7 +37,7 @@ A, B, C = found("a.wav"), found("b.wav"), found("c.wav")
 @pytest.fixture(params=list(KINDS))
 def out(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     if request.param == ".parquet":
-        pytest.importorskip("pyarrow", reason="needs pyarrow: pip install 'neuralmusic[parquet]'")
+        pytest.importorskip("pyarrow", reason="needs pyarrow: pip install ./client '.[parquet]'")
     return tmp_path / f"results{request.param}"
 
 
@@ -81,7 +81,7 @@ def test_what_is_written_is_left_out(out: Path, plan: Plan, finish: bool) -> Non
 
 
 def test_every_recording_has_one_cpu(plan: Plan) -> None:
-    """As many go on at a time as there are: each with helpers of its own would be their square."""
+    """Every CPU has its recording: with helpers for each, processes would be CPUs squared."""
     assert plan.setup.settings.processes == 1
 
 
@@ -136,13 +136,13 @@ def test_a_table_of_somebody_else_is_left_alone(tmp_path: Path, plan: Plan) -> N
 
     path = tmp_path / "table.parquet"
     parquet.write_table(pyarrow.table({"path": ["a.wav"]}), path)
-    with pytest.raises(InvalidOption, match="is no result of neuralmusic batch"):
+    with pytest.raises(InvalidOption, match="is not a result of neuralmusic batch"):
         ParquetResult(path, plan)
 
 
 def test_two_runs_do_not_write_one_result(out: Path, plan: Plan) -> None:
     kind = KINDS[out.suffix]
-    with closing(kind(out, plan)), pytest.raises(InvalidOption, match="another run writes"):
+    with closing(kind(out, plan)), pytest.raises(InvalidOption, match="another run is writing"):
         kind(out, plan)
     kind(out, plan).close()
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from neuralmusic.cli import main
 from service.bench.window import Timing
-from service.cli import main
 from service.cli.bench import THREAD_VARIABLES
 
 STAGES = {"stft", "covariance_net", "count_net", "evd", "spectrum", "fusion", "peaks"}

@@ -14,11 +14,11 @@ import soundfile
 from command_line import refusal, run
 from stream_command import ARRAY, RATE
 
-from service.cli.stream_outputs import note
+from neuralmusic.cli.stream_outputs import note
+from neuralmusic.protocol.server_messages import StreamWarning
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 from service.inference.noise_profile import load_noise
-from service.protocol.server_messages import StreamWarning
 
 AZIMUTH = 60.0
 CODE = "channel_map_assumed"

@@ -15,11 +15,13 @@ import soundfile
 from command_line import refusal, run
 from fastapi.testclient import TestClient
 
-import service.cli.arrays
+import neuralmusic.cli.arrays
+import neuralmusic.cli.commands
 import service.server
-from service import __version__
+from neuralmusic import __version__
+from neuralmusic.cli import main
+from neuralmusic.cli.commands import OF_THE_SERVICE
 from service.app import create_app
-from service.cli import COMMANDS, main
 from service.doa.presets import PRESETS, preset
 from service.doa.types import FloatArray
 from service.inference.manifest import SCHEMA_VERSION
@@ -67,7 +69,24 @@ def test_the_version_and_every_command_are_shown(capsys: pytest.CaptureFixture[s
             main(argv)
     out = capsys.readouterr().out
     assert out.startswith(f"neuralmusic {__version__}\n")
-    assert all(f"\n    {command.NAME} " in out for command in COMMANDS)
+    assert all(f"\n    {name} " in out for name in (*OF_THE_SERVICE, "stream", "arrays"))
+    assert "neuralmusic-service" not in out
+
+
+def test_a_command_that_is_missing_says_which_package_brings_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(neuralmusic.cli.commands, "_entry_points", lambda: iter(()))
+    for name in OF_THE_SERVICE:
+        said = refusal(capsys, name, "--port", "1")
+        assert f"{name} comes with the package neuralmusic-service" in said
+        assert "pip install ./client ." in said
+    with pytest.raises(SystemExit, match="0"):
+        main(["--help"])
+    out = " ".join(capsys.readouterr().out.split())
+    assert f"neuralmusic-service adds {', '.join(OF_THE_SERVICE)}." in out
+    assert "localize the sources" not in out
+    assert main(["arrays"]) == 0
 
 
 @pytest.mark.parametrize(
@@ -81,7 +100,7 @@ def test_wrong_usage_exits_with_2(argv: list[str], capsys: pytest.CaptureFixture
 
 def test_help_and_check_load_no_onnxruntime_and_no_server(talker: str) -> None:
     code = (
-        "import sys\nfrom service.cli import main\n"
+        "import sys\nfrom neuralmusic.cli import main\n"
         f"code = main(['check', {talker!r}, '--array', {ARRAY!r}])\n"
         "sys.exit(code or bool({'onnxruntime', 'fastapi', 'matplotlib'} & set(sys.modules)))"
     )
@@ -343,12 +362,12 @@ def test_interruption_has_the_exit_code_of_shells(monkeypatch: pytest.MonkeyPatc
     def interrupted(args: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(service.cli.arrays, "run", interrupted)
+    monkeypatch.setattr(neuralmusic.cli.arrays, "run", interrupted)
     assert main(["arrays"]) == 130
 
 
 def test_a_reader_that_went_away_is_no_traceback() -> None:
-    code = "import sys; from service.cli import main; sys.exit(main(['arrays']))"
+    code = "import sys; from neuralmusic.cli import main; sys.exit(main(['arrays']))"
     process = subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 from command_line import refusal, run
 
+from neuralmusic.cli.flags import given_key
 from service.access.key_file import TOKEN, Key, new_token, read_keys
 from service.access.keys import Keys
-from service.cli.inputs import given_key
 
 Capture = pytest.CaptureFixture[str]
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from neuralmusic.errors import ConfigError
 from service.cli.plot import (
     LABEL_RADIUS,
     MIN_GAP,
@@ -22,7 +23,6 @@ from service.cli.plot import (
 )
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
-from service.errors import ConfigError
 from service.inference.results import Source, WindowEstimate
 from service.recordings.results import RecordingResult, SummarySource, WindowResult
 
@@ -133,5 +133,5 @@ def test_without_matplotlib_a_sentence_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_agg", None)
-    with pytest.raises(ConfigError, match=r'pip install "neuralmusic\[plot\]"'):
+    with pytest.raises(ConfigError, match=r"pip install \./client '\.\[plot\]'"):
         check_drawable(Path("picture.png"))

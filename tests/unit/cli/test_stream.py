@@ -8,6 +8,7 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,12 @@ import soundfile
 from scripted_service import TIMEOUT_S, Peer, ScriptedService, error, result, summary
 from stream_command import ARRAY, RATE, refusal, run
 
-from service.cli.live import FileSource, follow, paced
-from service.client import StreamClient
+from neuralmusic import StreamClient
+from neuralmusic.cli.live import follow
+from neuralmusic.protocol.framing import HEADER
+from neuralmusic.sources.files import FileSource
+from neuralmusic.sources.source import paced
+from service.audio.pcm import decode_pcm
 
 
 def test_a_file_in_real_time_is_never_early_and_does_not_drift() -> None:
@@ -33,8 +38,8 @@ def test_a_file_in_real_time_is_never_early_and_does_not_drift() -> None:
     def now() -> float:
         return clock
 
-    chunks = iter([np.zeros((160, 2), np.float32)] * 100)
-    for index, _ in enumerate(paced(chunks, RATE, wait, now)):
+    chunks = iter([bytes(160 * 2 * 4)] * 100)
+    for index, _ in enumerate(paced(chunks, RATE * 2 * 4, wait, now)):
         sent.append(clock)
         clock += 0.2 if index == 50 else 0.001  # the sender was held up once
     due = [100 + 0.01 * (index + 1) for index in range(100)]
@@ -78,8 +83,10 @@ def test_a_file_may_have_more_channels_than_microphones(
         (["x.wav"], "give the --array"),
         (["none.wav", "--array", ARRAY], "none.wav: No such file"),
         (["--device", "x", "--array", ARRAY, "--realtime"], "--realtime is for files"),
+        (["-", "--array", ARRAY], "raw samples need --encoding"),
+        (["x.wav", "--array", ARRAY, "--channels", "2"], "give - as the FILE"),
         (["x.wav", "--array", ARRAY, "--ssl"], "--ssl goes with"),
-        (["x.wav", "--array", ARRAY, "--output", "odas", "--save", "x.csv"], "run it twice"),
+        (["x.wav", "--array", ARRAY, "--output", "odas", "--save", "x.csv"], "the command twice"),
     ],
 )
 def test_wrong_combinations_are_one_sentence(
@@ -92,7 +99,7 @@ def test_wrong_combinations_are_one_sentence(
     ("more", "reason"),
     [
         (["--array", "respeaker"], "no array preset is called 'respeaker'"),
-        (["--url", "ftp://robot"], "is no address"),
+        (["--url", "ftp://robot"], "is not an address"),
         (["--interval-ms", "5"], "output.interval_ms"),
         (["--exclude", "front"], "exclude_deg must list sectors as from:to"),
         (["--exclude", "10:10"], "empty or the whole circle"),
@@ -133,15 +140,61 @@ def test_a_session_that_fails_ends_with_its_sentence(
     assert json.loads(out)["sources"][0]["azimuth_deg"] == 45.0
 
 
-def test_an_unreadable_file_ends_with_its_sentence(
-    stream_flags: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_unreadable_files_are_one_sentence(
+    stream_flags: list[str],
+    talk_wav: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    audio = np.zeros((RATE, 4), np.float32)
-    audio[RATE // 2, 1] = np.nan
-    soundfile.write(tmp_path / "nan.wav", audio, RATE, subtype="FLOAT")
-    code, _, err = run(capsys, str(tmp_path / "nan.wav"), *stream_flags[1:])
-    assert code == 2
-    assert "channel 1 is nan" in err.splitlines()[-1]
+    short, text = tmp_path / "short.wav", tmp_path / "notes.txt"
+    short.write_bytes(Path(talk_wav).read_bytes()[:-100])
+    text.write_text("no audio")
+    assert "the header promises" in refusal(capsys, str(short), *stream_flags[1:])
+    assert "not an audio file" in refusal(capsys, str(text), *stream_flags[1:])
+    monkeypatch.setitem(sys.modules, "soundfile", None)
+    assert "pip install './client[files]'" in refusal(capsys, str(text), *stream_flags[1:])
+
+
+@pytest.mark.parametrize("subtype", ["PCM_16", "PCM_24", "PCM_32", "FLOAT"])
+def test_a_wav_file_is_sent_as_it_is_stored(
+    subtype: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "talk.wav"
+    soundfile.write(path, np.random.default_rng(1).normal(0, 0.1, (RATE, 2)), RATE, subtype=subtype)
+    sent: list[bytes] = []
+    with monkeypatch.context() as robot:
+        robot.setitem(sys.modules, "soundfile", None)
+        source = FileSource(path, realtime=False)
+        source.feed(sent.append, threading.Event())
+        source.close()
+    decoded = decode_pcm(b"".join(sent), source.audio["encoding"], 2, (0, 1))
+    np.testing.assert_array_equal(decoded, soundfile.read(path, dtype="float32")[0].T)
+
+
+def test_samples_on_standard_input_are_sent_whole(
+    service_of: Callable[..., ScriptedService],
+) -> None:
+    heard: list[bytes] = []
+
+    def script(peer: Peer) -> None:
+        peer.begin()
+        heard.extend(peer.audio_until("stop"))
+        peer.finish()
+
+    service = service_of(script)
+    samples = np.arange(4 * RATE // 10, dtype=np.int16).tobytes()
+    raw = ["--encoding", "pcm_s16le", "--sample-rate", str(RATE), "--channels", "4"]
+    argv = ["stream", "-", *raw, "--array", ARRAY, "--url", service.url]
+    done = subprocess.run(
+        [sys.executable, "-m", "neuralmusic", *argv],
+        input=samples + b"x",  # what is no whole sample frame is left out
+        capture_output=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (0, b"")
+    assert service.peers[0].start["overflow"] == "drop_oldest"
+    assert b"".join(message[HEADER.size :] for message in heard) == samples
 
 
 def test_calibration_comes_before_the_audio(
@@ -205,7 +258,7 @@ def test_an_interrupted_stream_is_stopped_in_order(
 def test_control_c_ends_in_order(real_service: str, tmp_path: Path) -> None:
     long = tmp_path / "long.wav"
     soundfile.write(long, np.zeros((60 * RATE, 4), np.int16), RATE)
-    program = "import sys; from service.cli import main; sys.exit(main(sys.argv[1:]))"
+    program = "import sys; from neuralmusic.cli import main; sys.exit(main(sys.argv[1:]))"
     argv = ["stream", str(long), "--array", ARRAY, "--url", real_service, "--realtime"]
     with subprocess.Popen(
         [sys.executable, "-c", program, *argv, "--method", "norm_music"],

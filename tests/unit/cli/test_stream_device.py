@@ -15,8 +15,8 @@ import pytest
 from scripted_service import TIMEOUT_S, Peer, ScriptedService, error, result
 from stream_command import ARRAY, RATE, refusal, run
 
-from service.cli.microphone import capture_time_ns
-from service.protocol.framing import HEADER
+from neuralmusic.protocol.framing import HEADER
+from neuralmusic.sources.microphone import capture_time_ns
 
 
 class PortAudio(ModuleType):
@@ -139,8 +139,8 @@ def test_missing_libraries_are_one_sentence(
 ) -> None:
     monkeypatch.setitem(sys.modules, "sounddevice", None)
     device = ["--device", "ReSpeaker", "--array", ARRAY]
-    assert "neuralmusic[microphone]" in refusal(capsys, *device)
-    assert "neuralmusic[microphone]" in refusal(capsys, "--list-devices")
+    assert "./client[microphone]" in refusal(capsys, *device)
+    assert "./client[microphone]" in refusal(capsys, "--list-devices")
     (tmp_path / "sounddevice.py").write_text('raise OSError("PortAudio library not found")')
     monkeypatch.delitem(sys.modules, "sounddevice")
     monkeypatch.syspath_prepend(tmp_path)

@@ -1,4 +1,4 @@
-"""Where ``neuralmusic stream`` writes: JSON, CSV, datagrams, ODAS' objects, the table."""
+"""The outputs of ``neuralmusic stream``: JSON, CSV, datagrams, ODAS' objects, the table."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from rich.console import Console
 from scripted_service import TIMEOUT_S, ready, result
 from stream_command import run
 
-from service.cli.addresses import Address, read_address
-from service.cli.odas import odas_text
-from service.cli.stream_table import LiveTable
-from service.client import Reconnecting
-from service.errors import InvalidOption
-from service.protocol.server_messages import (
+from neuralmusic import Reconnecting
+from neuralmusic.cli.addresses import Address, read_address
+from neuralmusic.cli.odas import odas_text
+from neuralmusic.cli.stream_table import LiveTable
+from neuralmusic.errors import InvalidOption
+from neuralmusic.protocol.server_messages import (
     OdasPotential,
     OdasSource,
     OdasSsl,
@@ -42,7 +42,7 @@ SSL = OdasSsl(seq=2, timeStamp=57, src=[OdasPotential(x=1.0, y=0.0, z=0.0, E=0.2
 
 
 def test_odas_objects_are_printed_as_odas_prints_them() -> None:
-    """By the format strings of snk_tracks.c and snk_pots.c, evaluated by printf itself."""
+    """The truth is printf itself with the format strings of snk_tracks.c and snk_pots.c."""
     rows = [
         'printf \'        { "id": %d, "tag": "%s", "x": %1.3f, "y": %1.3f, "z": %1.3f, '
         f'"activity": %1.3f }}{comma}\\n\' {values}'

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from neuralmusic.cli.words import clock, degrees, sector
 from service.cli.directions import stretches
-from service.cli.terminal import clock, degrees, sector
 from service.inference.results import Source, WindowEstimate
 from service.recordings.results import WindowResult
 

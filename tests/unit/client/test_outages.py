@@ -17,15 +17,15 @@ from scripted_service import (
     whole_session,
 )
 
-from service.client import (
+from neuralmusic import (
     Reconnecting,
     ServiceUnreachable,
     StreamClient,
     StreamClosed,
     StreamRefused,
 )
-from service.protocol.close_codes import RETRYABLE
-from service.protocol.server_messages import Closing, Ready
+from neuralmusic.protocol.close_codes import RETRYABLE
+from neuralmusic.protocol.server_messages import Closing, Ready
 
 ServiceOf = Callable[..., ScriptedService]
 

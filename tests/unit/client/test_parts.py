@@ -12,15 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scripted_service import ready, result
 
-from service.client import Backoff
-from service.client.addresses import service_url, stream_url
-from service.client.audio import read_frames, split_frames
-from service.client.inbox import Inbox
-from service.client.send_queue import MAX_CONTROL, SendQueue
-from service.errors import AudioError, ChannelMismatch, InvalidOption
-from service.protocol import MAX_MESSAGE_BYTES
-from service.protocol.client_messages import AudioFormat
-from service.protocol.framing import HEADER, FrameHeader
+from neuralmusic import Backoff
+from neuralmusic.addresses import service_url, stream_url
+from neuralmusic.errors import AudioError, ChannelMismatch, InvalidOption
+from neuralmusic.protocol import MAX_MESSAGE_BYTES
+from neuralmusic.protocol.client_messages import AudioFormat
+from neuralmusic.protocol.framing import HEADER, FrameHeader
+from neuralmusic.streams.audio import read_frames, split_frames
+from neuralmusic.streams.inbox import Inbox
+from neuralmusic.streams.send_queue import MAX_CONTROL, SendQueue
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_every_form_of_an_address(url: str, http: str, socket: str) -> None:
     "url", ["", "ftp://robot", "http://", "http://robot:99999", "http://[::1", "http://r:0"]
 )
 def test_what_is_no_address_is_refused(url: str) -> None:
-    with pytest.raises(InvalidOption, match="no address"):
+    with pytest.raises(InvalidOption, match="not an address"):
         stream_url(url)
 
 
@@ -113,7 +113,7 @@ def test_arrays_are_read_as_their_bytes() -> None:
         (np.zeros((10, 4), np.float32), AudioError, "pcm_s16le was declared"),
         (np.zeros((10, 4), np.uint16), AudioError, "'H'"),
         (np.zeros((10, 4), ">i2"), AudioError, "'>h'"),
-        ([1, 2, 3], AudioError, "list is no audio"),
+        ([1, 2, 3], AudioError, "list is not audio"),
         (np.zeros((4, 10), np.int16), ChannelMismatch, r"\(4, 10\).*transpose"),
         (np.zeros((2, 2, 4), np.int16), ChannelMismatch, "shape"),
         (np.zeros(10, np.int16), ChannelMismatch, "20 bytes are no whole number"),

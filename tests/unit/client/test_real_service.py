@@ -10,7 +10,7 @@ import pytest
 from running_service import RunningService
 from scripted_service import TIMEOUT_S
 
-from service.client import (
+from neuralmusic import (
     AsyncStreamClient,
     Backoff,
     LocalizationClient,
@@ -18,8 +18,7 @@ from service.client import (
     StreamClient,
     StreamRefused,
 )
-from service.doa.array import MicrophoneArray
-from service.protocol.server_messages import (
+from neuralmusic.protocol.server_messages import (
     Calibrated,
     Closing,
     Flushed,
@@ -29,6 +28,7 @@ from service.protocol.server_messages import (
     Ready,
     Result,
 )
+from service.doa.array import MicrophoneArray
 
 RATE = 16_000
 

@@ -8,20 +8,20 @@ import json
 from pathlib import Path
 from typing import Any
 
-import httpx2
+import httpx
 import numpy as np
 import pytest
 import soundfile
 
-from service.client import (
+from neuralmusic import (
     AsyncLocalizationClient,
     LocalizationClient,
     ServiceProblem,
     ServiceUnreachable,
 )
+from neuralmusic.errors import InvalidOption
 from service.doa.array import MicrophoneArray
 from service.doa.presets import PRESETS
-from service.errors import InvalidOption
 
 
 @pytest.fixture
@@ -108,10 +108,10 @@ def test_the_same_with_asyncio(url: str, wav: bytes, square: MicrophoneArray) ->
 
 
 def answering(status: int, content: bytes, **headers: str) -> LocalizationClient:
-    def answer(request: httpx2.Request) -> httpx2.Response:
-        return httpx2.Response(status, headers=headers, content=content)
+    def answer(request: httpx.Request) -> httpx.Response:
+        return httpx.Response(status, headers=headers, content=content)
 
-    return LocalizationClient("http://robot", transport=httpx2.MockTransport(answer))
+    return LocalizationClient("http://robot", transport=httpx.MockTransport(answer))
 
 
 def test_a_full_service_says_when_to_come_back() -> None:
@@ -136,11 +136,11 @@ def test_another_server_is_noticed(body: bytes) -> None:
 def test_the_key_is_sent_as_a_header() -> None:
     seen: list[str] = []
 
-    def answer(request: httpx2.Request) -> httpx2.Response:
+    def answer(request: httpx.Request) -> httpx.Response:
         seen.append(request.headers["Authorization"])
-        return httpx2.Response(200, json={"sessions": []})
+        return httpx.Response(200, json={"sessions": []})
 
-    transport = httpx2.MockTransport(answer)
+    transport = httpx.MockTransport(answer)
     for key in ("secret", "secret\n"):  # as a file holds it
         with LocalizationClient("http://robot", key=key, transport=transport) as client:
             assert client.sessions() == []

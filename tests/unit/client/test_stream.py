@@ -19,16 +19,16 @@ from scripted_service import (
     whole_session,
 )
 
-from service.client import (
+from neuralmusic import (
     AsyncStreamClient,
     ServiceUnreachable,
     StreamClient,
     StreamClosed,
 )
-from service.errors import InvalidMessage, InvalidOption
-from service.protocol.client_messages import Start
-from service.protocol.framing import HEADER, FrameHeader
-from service.protocol.server_messages import Flushed, Pong, Ready, Result
+from neuralmusic.errors import InvalidMessage, InvalidOption
+from neuralmusic.protocol.client_messages import Start
+from neuralmusic.protocol.framing import HEADER, FrameHeader
+from neuralmusic.protocol.server_messages import Flushed, Pong, Ready, Result
 
 ServiceOf = Callable[..., ScriptedService]
 
@@ -102,7 +102,7 @@ def test_start_is_given_as_itself_or_by_its_fields() -> None:
         StreamClient("robot", start, array="square")
     with pytest.raises(InvalidMessage, match=r"audio.*sample_rate is missing"):
         StreamClient("robot", array="square", audio={"encoding": "pcm_s16le", "channels": 2})
-    with pytest.raises(InvalidMessage, match="overfow is no field"):
+    with pytest.raises(TypeError, match="overfow"):
         StreamClient("robot", **options(overfow="block"))
 
 

@@ -10,8 +10,8 @@ from scripted_service import TIMEOUT_S, ready, samples
 from websockets.http11 import Request
 from websockets.server import ServerProtocol
 
-from service.client import StreamClient, StreamClosed, Timeouts
-from service.protocol import SUBPROTOCOL
+from neuralmusic import StreamClient, StreamClosed, Timeouts
+from neuralmusic.protocol import SUBPROTOCOL
 
 
 def begin_and_fall_silent(listener: socket.socket, over: threading.Event) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from neuralmusic.errors import InvalidChannelMap, InvalidGeometry
 from service.doa.array import MicrophoneArray, speed_of_sound, validate_channel_map
-from service.errors import InvalidChannelMap, InvalidGeometry
 
 SQUARE = np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]) * 0.02285
 

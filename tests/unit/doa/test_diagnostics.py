@@ -9,13 +9,13 @@ from functools import cache
 import numpy as np
 import pytest
 
+from neuralmusic.errors import ChannelMismatch
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics import ChannelDiagnostics, Finding
 from service.doa.diagnostics.excerpt import SLOTS, Excerpt
 from service.doa.diagnostics.orders import distinct_orders, equivalent_orders
 from service.doa.presets import preset
 from service.doa.types import FloatArray
-from service.errors import ChannelMismatch
 
 RATE = 16_000
 SQUARE = preset("respeaker-usb-4mic-v2")

@@ -27,7 +27,7 @@ def line(azimuth_deg: float, height: float = 0.0) -> MicrophoneArray:
 def test_the_image_sounds_the_same_and_is_searched(
     along: float, azimuth: float, height: float
 ) -> None:
-    """Of a line, and of a panel in a vertical plane."""
+    """A line and a panel in a vertical plane have mirror images."""
     array = line(along, height)
     assert array.linear
     image = into_searched_half(array, np.array([azimuth]))

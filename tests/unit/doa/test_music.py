@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from neuralmusic.errors import TooManySources
 from service.doa import classical
 from service.doa.covariance import diagonal_loading, sample_covariance
 from service.doa.evd import noise_projector, principal_eigenvector, signal_subspace
@@ -15,7 +16,6 @@ from service.doa.peaks import circular_difference, find_peaks
 from service.doa.steering import azimuth_grid, steering_vectors
 from service.doa.stft import Stft
 from service.doa.types import ComplexArray, FloatArray
-from service.errors import TooManySources
 
 GRID = azimuth_grid()
 BAND = np.arange(500.0, 3500.0, 125.0)
@@ -135,7 +135,7 @@ def test_srp_phat_finds_a_delayed_noise() -> None:
 
 @pytest.mark.parametrize("microphones", [2, 4, 8, 16])
 def test_the_principal_eigenvector_is_lapacks(microphones: int) -> None:
-    """Where the two largest eigenvalues differ by a fifth or more; the share always."""
+    """The vector agrees where the two largest eigenvalues differ by a fifth; the share always."""
     rng = np.random.default_rng(3)
     shape = (300, microphones, microphones)
     unitary, _ = np.linalg.qr(rng.standard_normal(shape) + 1j * rng.standard_normal(shape))

@@ -7,10 +7,11 @@ import re
 import numpy as np
 import pytest
 
+from neuralmusic.arrays import RAW_CHANNELS
+from neuralmusic.errors import UnknownArray
 from service.doa.array import MicrophoneArray, validate_channel_map
-from service.doa.presets import PRESETS, RAW_CHANNELS, preset
+from service.doa.presets import PRESETS, preset
 from service.doa.types import FloatArray
-from service.errors import UnknownArray
 
 REQUIRED = {
     "respeaker-usb-4mic-v2": 4,

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from neuralmusic.errors import TooManySources
 from service.doa import classical
 from service.doa.pair_products import pair_products
 from service.doa.presets import preset
 from service.doa.projector import signal_projector
 from service.doa.steering import azimuth_grid, steering_vectors
 from service.doa.types import ComplexArray, FloatArray
-from service.errors import TooManySources
 
 
 def with_eigenvalues(values: FloatArray, seed: int = 0) -> tuple[ComplexArray, ComplexArray]:
@@ -62,7 +62,7 @@ def test_it_projects_on_the_largest_eigenvectors(
 
 @pytest.mark.parametrize("num_sources", [1, 2])
 def test_it_is_closer_than_eigenvectors_in_single_precision(num_sources: int) -> None:
-    """Of noise and two talkers 20 dB apart, as sample covariances of 64 frames have them."""
+    """The matrices are sample covariances of 64 frames: noise and two talkers 20 dB apart."""
     rng = np.random.default_rng(1)
     shape = (300, 4, 64)
     noise = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)

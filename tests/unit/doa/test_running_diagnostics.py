@@ -10,10 +10,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from neuralmusic.errors import ChannelMismatch
 from service.doa.diagnostics import Finding, RunningDiagnostics
 from service.doa.presets import preset
 from service.doa.types import FloatArray
-from service.errors import ChannelMismatch
 
 RATE = 16_000
 SQUARE = preset("respeaker-usb-4mic-v2")

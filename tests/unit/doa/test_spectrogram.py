@@ -76,3 +76,17 @@ def test_features_relative_to_the_first_microphone_hold_the_channel_vector() -> 
     correlation = np.abs(np.sum(unit.conj() * spectra, axis=0)) / np.linalg.norm(spectra, axis=0)
     np.testing.assert_allclose(correlation, 1, atol=1e-5)
     assert (features[0] >= 0).all()
+
+
+def test_a_level_exponent_scales_the_channel_vector_and_nothing_else() -> None:
+    spectra = random_spectra(4, 64, 64)
+    spectra[:, 0, 0] *= 1000  # above the bound
+    spectra[:, 1] *= 0.01
+    plain, features = (spectrogram_features(spectra, "first", e) for e in (0.0, 0.15))
+    power = np.sum(np.abs(spectra) ** 2, axis=0)
+    expected = np.minimum((power / power.mean()) ** 0.15, 3)
+    assert expected[0, 0] == 3
+    assert 0 < expected[1].max() < 0.2
+    np.testing.assert_array_equal(features[4], plain[4])
+    vectors, unit = (np.delete(each, 4, axis=0) for each in (features, plain))
+    np.testing.assert_allclose(vectors, expected * unit, rtol=1e-4, atol=1e-6)

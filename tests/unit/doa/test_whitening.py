@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from neuralmusic.errors import NoiseCalibrationFailed, NoiseMismatch
 from service.doa.array import MicrophoneArray
 from service.doa.covariance import sample_covariance
 from service.doa.presets import preset
@@ -19,7 +20,6 @@ from service.doa.whitening import (
     Whitening,
     learn_noise,
 )
-from service.errors import NoiseCalibrationFailed, NoiseMismatch
 
 SQUARE = preset("respeaker-usb-4mic-v2")
 STFT = Stft()

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.doa.presets import preset
-from service.errors import (
+from neuralmusic.errors import (
     BundleCorrupt,
     BundleIncompatible,
     BundleNotFound,
@@ -22,6 +21,7 @@ from service.errors import (
     SelfTestFailed,
     UnknownModel,
 )
+from service.doa.presets import preset
 from service.inference.bundle import FILES, Bundle, file_sha256, load_bundle
 from service.inference.engine import Engine
 from service.inference.npz import read_npz
@@ -177,7 +177,7 @@ def test_a_graph_that_is_no_onnx(folder: Path) -> None:
     (folder / "covariance.onnx").write_bytes(b"not a graph")
     digest = file_sha256(folder / "covariance.onnx")
     edit(folder, lambda fields: fields["files"].update({"covariance.onnx": digest}))
-    with pytest.raises(BundleCorrupt, match="no ONNX graph"):
+    with pytest.raises(BundleCorrupt, match="not an ONNX graph"):
         load_bundle(folder)
 
 

@@ -20,7 +20,7 @@ SQUARE = preset("respeaker-usb-4mic-v2")
 LINE = MicrophoneArray("line", np.array([[-0.06, 0, 0], [-0.02, 0, 0], [0.02, 0, 0], [0.06, 0, 0]]))
 BINS, ROWS, GRID = 64, 3, 180
 WIDTH = np.deg2rad(8.0)
-"""Of a cell's peak, at half its height"""
+"""Width of a cell's peak at half its height"""
 
 
 def spectra_at(azimuth: FloatArray) -> FloatArray:

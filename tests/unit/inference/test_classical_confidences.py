@@ -8,14 +8,14 @@ import numpy as np
 import pyroomacoustics as pra
 import pytest
 
+from neuralmusic.protocol.client_messages import AudioFormat, OutputOptions
+from neuralmusic.protocol.methods import Method
 from service.bench.window import bench_pieces
 from service.doa.array import MicrophoneArray
 from service.doa.scoring import circular_error
 from service.doa.stft import Stft
 from service.doa.types import FloatArray
 from service.inference.classical import ClassicalLocalizer
-from service.protocol.client_messages import AudioFormat, OutputOptions
-from service.protocol.methods import Method
 from service.streaming.pipeline import StreamPipeline, StreamPlan
 
 RATE = 16_000
@@ -66,7 +66,7 @@ def test_confidences_are_as_high_as_the_share_that_is_right(
 def test_a_stream_follows_a_talker_in_a_room(
     method: Method, square: MicrophoneArray, room: list[FloatArray]
 ) -> None:
-    """With confidences below a half a tracker takes every detection for one reason less."""
+    """A tracker takes confidences below a half as evidence against a talker."""
     audio = AudioFormat(encoding="pcm_s16le", sample_rate=RATE, channels=4)
     for place, heard in zip(np.deg2rad(PLACES), room, strict=True):
         plan = StreamPlan(audio, square, (0, 1, 2, 3), method, None, Stft())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from neuralmusic.protocol.methods import METHODS
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.scoring import circular_error, maae
@@ -14,7 +15,6 @@ from service.inference.localizer import Localizer, estimate_stretch, localizer_o
 from service.inference.registry import BundleRegistry
 from service.inference.weights import LEAST_CONFIDENCE, strongest_blocks, surest
 from service.inference.windows import stretches, windows
-from service.protocol.methods import METHODS
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +184,7 @@ def test_a_stretch_gives_what_its_windows_give_alone(
 
 
 def test_a_long_window_hears_who_speaks_in_turn(registry: BundleRegistry, plane_waves) -> None:
-    """Of eight seconds one source has the first, another the last: neither is left out."""
+    """One source sounds in the first of eight seconds, another in the last: both are found."""
     array = ARRAYS["square"]
     first = plane_waves(array, [50.0], seconds=4.0, seed=1)
     second = plane_waves(array, [200.0], seconds=4.0, seed=2)

@@ -17,13 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.doa.array import MicrophoneArray
-from service.doa.presets import preset
-from service.doa.scoring import circular_error
-from service.doa.stft import Stft
-from service.doa.types import FloatArray
-from service.doa.whitening import NoiseCovariance, learn_noise
-from service.errors import (
+from neuralmusic.errors import (
     ConfigError,
     InvalidOption,
     NoiseMismatch,
@@ -31,13 +25,19 @@ from service.errors import (
     NoiseStoreFull,
     UnknownNoise,
 )
+from neuralmusic.protocol.methods import METHODS
+from service.doa.array import MicrophoneArray
+from service.doa.presets import preset
+from service.doa.scoring import circular_error
+from service.doa.stft import Stft
+from service.doa.types import FloatArray
+from service.doa.whitening import NoiseCovariance, learn_noise
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, localizer_of
 from service.inference.noise_profile import MAX_BYTES, load_noise, noise_bytes
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.inference.stream import stream_localizer_of
-from service.protocol.methods import METHODS
 
 SQUARE = preset("respeaker-usb-4mic-v2")
 MOTOR = np.deg2rad(200.0)
@@ -298,7 +298,7 @@ def test_the_store_keeps_profiles_by_name_across_restarts(
     assert abs((again.created - stored.created).total_seconds()) < 60
     store.delete("arms")
     assert [path.name for path in folder.iterdir()] == ["kitchen_fan-2.1.npz"]
-    with pytest.raises(UnknownNoise, match=r"there are kitchen_fan-2\.1"):
+    with pytest.raises(UnknownNoise, match=r"stored are kitchen_fan-2\.1"):
         NoiseStore(folder).get("arms")
     with pytest.raises(UnknownNoise):
         store.delete("arms")
@@ -362,7 +362,7 @@ def test_a_corrupt_file_is_left_out_with_a_warning(
 
 def test_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "noise").write_text("")
-    with pytest.raises(ConfigError, match="is no folder"):
+    with pytest.raises(ConfigError, match="is not a folder"):
         NoiseStore(tmp_path / "noise")
 
 
@@ -398,4 +398,4 @@ def test_the_profiles_together_have_a_bound_in_bytes(
         store.put("c", profile)
     assert [each.name for each in NoiseStore(tmp_path, max_bytes=room).all()] == ["a", "b"]
     assert [each.name for each in NoiseStore(tmp_path, max_bytes=room // 2).all()] == ["a"]
-    assert "more noise profiles than are kept" in caplog.text
+    assert "exceeds the limit of noise profiles" in caplog.text

@@ -13,7 +13,7 @@ from service.inference.results import WindowEstimate
 from service.inference.weights_stream import WeightsStream
 
 PUSHED = (1, 6, 7, 6, 5, 1, 30, 2, 6, 9)
-"""Frames at a time, 73 in all"""
+"""Numbers of frames at a time, 73 in all"""
 
 
 @pytest.fixture(scope="module")

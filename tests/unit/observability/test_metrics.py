@@ -6,7 +6,7 @@ import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as read_openmetrics
 from prometheus_client.parser import text_string_to_metric_families as read_text
 
-from service.errors import DoaError
+from neuralmusic.errors import DoaError
 from service.inference.results import ModelIdentity
 from service.observability.metrics import Gauges, Metrics, error_codes
 

@@ -13,8 +13,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from neuralmusic.errors import WorkerLost
 from service.doa.types import FloatArray
-from service.errors import WorkerLost
 from service.recordings.forked_workers import AHEAD, FEW, in_order
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="helpers are forked on Linux only")

@@ -26,12 +26,12 @@ pytestmark = pytest.mark.costs
 RATE = 16000
 ARRAY = preset("respeaker-usb-4mic-v2")
 LENGTHS = (300, 1500)
-"""Windows"""
+"""Lengths in windows"""
 HOP_S = 0.064
 ALLOWED = 400
-"""Bytes a window: two sources packed take a hundred"""
+"""Most bytes a window: two packed sources take a hundred"""
 SPECTRUM = 4 * 180
-"""Bytes of one"""
+"""Bytes of one spectrum"""
 
 
 class TwoTalkers:

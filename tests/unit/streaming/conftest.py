@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from neuralmusic.protocol.message import message_type
+from neuralmusic.protocol.server_messages import ServerMessage
 from service.doa.types import FloatArray
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
-from service.protocol.message import message_type
-from service.protocol.server_messages import ServerMessage
 from service.streaming.host import StreamHost
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session

@@ -21,12 +21,12 @@ from hypothesis.stateful import (
 )
 from stream_contract import validator
 
+from neuralmusic.errors import DoaError, WorkerLost
+from neuralmusic.protocol.close_codes import CloseCode
+from neuralmusic.protocol.server_messages import ServerMessage
 from service.api.outbox import message_json
-from service.errors import DoaError, WorkerLost
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
-from service.protocol.close_codes import CloseCode
-from service.protocol.server_messages import ServerMessage
 from service.streaming.host import StreamHost
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session
@@ -89,7 +89,7 @@ class SessionMachine(RuleBasedStateMachine):
     def open(self, message: dict[str, Any] | None, eager: bool, calm: int) -> None:
         self.seen = 0
         self.calm = calm
-        """Steps before anything may happen that ends a session"""
+        """Least steps before a session may end"""
         session = Session("test", Reporter(self.keep), NoiseStore(), LIMITS, now=0.0)
         self.messages: list[dict[str, Any]] = []
         self.driver = Driver(session, StreamHost(registry()), self.messages, eager=eager)

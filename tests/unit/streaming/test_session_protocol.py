@@ -8,9 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from neuralmusic.protocol.close_codes import CloseCode
 from service.doa.array import MicrophoneArray
+from service.doa.presets import preset
+from service.doa.stft import Stft
 from service.doa.types import FloatArray
-from service.protocol.close_codes import CloseCode
+from service.doa.whitening import learn_noise
+from service.inference.noise_store import NoiseStore
 from service.streaming.pipeline import StreamPipeline
 from service.streaming.reporter import SessionLimits
 
@@ -37,6 +41,11 @@ def stamped(sequence: int, captured_ns: int, audio: bytes) -> bytes:
         ({"client": ".hidden"}, "message_invalid", "start.client"),
         ({"channel_map": [0, 1, 2, 9]}, "channel_mismatch", "channel 9"),
         ({"channel_map": [0, 1, 2, 2]}, "channel_map_invalid", "twice"),
+        (
+            {"channel_map": [0, 1, 2, 3], "array": {"channel_map": [3, 2, 1, 0]}},
+            "channel_map_invalid",
+            "in the start and in its array",
+        ),
         ({"audio": {"sample_rate": 2_000_000}}, "message_invalid", "start.audio.sample_rate"),
         ({"audio": {"encoding": "mp3"}}, "message_invalid", "pcm_s16le"),
         ({"model": "nobody"}, "model_unknown", "nobody"),
@@ -270,6 +279,21 @@ def test_an_update_is_held_to_the_array(new_session: NewSession) -> None:
     assert driver.last["code"] == "too_many_sources"
     assert "2 microphones" in driver.last["detail"]
     assert driver.session.close_code == driver.last["close_code"]
+
+
+def test_the_noise_of_another_array_is_not_used_and_the_client_is_told(
+    new_session: NewSession, store: NoiseStore
+) -> None:
+    silence = 0.001 * np.random.default_rng(0).standard_normal((4, 4 * RATE))
+    other = preset("respeaker-4mic-hat")
+    store.put("rover", learn_noise([silence.astype(np.float32)], other, Stft()))
+    driver = new_session()
+    driver.send(start(method="norm_music", client="rover"))
+    ready = driver.only("ready")
+    assert ready["noise"] is None
+    warning = driver.only("warning")
+    assert warning["code"] == "noise_mismatch"
+    assert warning["detail"].endswith("it is not used")
 
 
 def test_control_messages_that_wait_are_bounded(new_session: NewSession) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from service.errors import WorkerLost
+from neuralmusic.errors import WorkerLost
 from service.lifecycle import Lifecycle, Phase
 from service.observability.metrics import Metrics
 from service.settings import Settings

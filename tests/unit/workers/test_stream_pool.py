@@ -9,9 +9,9 @@ import signal
 import pytest
 from scripted_service import TIMEOUT_S
 
-from service.errors import WorkerLost
+from neuralmusic.errors import WorkerLost
+from neuralmusic.protocol.client_messages import ArrayChoice, AudioFormat, Start
 from service.observability.metrics import Metrics
-from service.protocol.client_messages import ArrayChoice, AudioFormat, Start
 from service.settings import Settings
 from service.startup import load_registry
 from service.streaming.work import Failed, Open, Outcome
@@ -27,7 +27,7 @@ START = Start(
     array=ArrayChoice(name="respeaker-usb-4mic-v2"),
 )
 MANY = 4000
-"""Whose messages and answers fill the sockets in both directions"""
+"""Jobs whose messages and answers fill the sockets in both directions"""
 
 
 def test_no_worker_keeps_the_models_that_a_reload_replaced() -> None:

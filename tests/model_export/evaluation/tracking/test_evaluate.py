@@ -27,7 +27,7 @@ RATE = 16000
 
 
 def plane_wave(azimuth: float, signal: FloatArray) -> FloatArray:
-    """A signal (T,) from far away at the array's microphones, (N, T)."""
+    """Microphone signals (N, T) of a plane wave (T,)."""
     positions = preset("respeaker-usb-4mic-v2").positions
     advance = positions @ unit_vectors(np.array(azimuth)) / SPEED_OF_SOUND
     omega = 2 * np.pi * np.fft.rfftfreq(len(signal), 1 / RATE)
@@ -46,7 +46,7 @@ def test_the_embedded_bundle_hears_a_plane_wave_and_no_silence() -> None:
 
 
 def test_a_stream_s_detections_are_followed_and_scored() -> None:
-    """A perfect localizer of one who walks: one track, on time, that nothing is false of."""
+    """A perfect localizer of one walking talker gives one track, on time and without errors."""
     path = Arc(6.0, np.deg2rad(20))
     speech = np.concatenate([np.zeros(round(LEAD_S * RATE)), np.ones(4 * RATE)])
     scene = MovingScene(np.zeros((4, len(speech))), (Talker(path, speech),))

@@ -1,4 +1,4 @@
-"""Tracks of labelled recordings: counted by where they are and how long they last."""
+"""Tracks of labelled recordings are counted by direction and by duration."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from service.doa.types import FloatArray
 
 
 def estimates(audio: FloatArray, interval: float) -> Iterator[tuple[float, list[Detection]]]:
-    """One talker at 90 degrees all the time, one at 200 in the second half."""
+    """Detections of one talker at 90 degrees all the time and of one at 200 in the second half."""
     steps = round(audio.shape[1] / 16000 / interval)
     for step in range(1, steps + 1):
         found = [Detection(np.deg2rad(90), 0.95)]

@@ -1,4 +1,4 @@
-"""Scores of tracks over time, by hand."""
+"""Scores of hand-made tracks over time."""
 
 from __future__ import annotations
 
@@ -109,6 +109,10 @@ def test_the_paths_are_what_the_cell_says(cell: TrackingCell) -> None:
     for seed in range(5):
         arcs = cell.paths(np.random.default_rng(seed))
         if len(arcs) == 1:
+            steps = np.angle(np.exp(1j * np.diff(arcs[0].azimuth(times))))
+            speeds = np.abs(np.rad2deg(steps)) / 0.01
+            assert speeds == pytest.approx(np.full_like(speeds, speeds[0]))
+            assert 15 <= speeds[0] <= 40
             continue
         apart = np.rad2deg(np.angle(np.exp(1j * (arcs[0].azimuth(times) - arcs[1].azimuth(times)))))
         if cell.least_voiced == 2:

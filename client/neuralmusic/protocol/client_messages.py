@@ -1,0 +1,156 @@
+"""A client's messages: ``start``, then ``update``, ``flush``, ``ping``, ``calibrate``, ``stop``."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Optional, Union
+
+from pydantic import Field, TypeAdapter, field_validator
+
+from neuralmusic.protocol.framing import SAMPLE_BYTES, Encoding, HeaderKind
+from neuralmusic.protocol.message import Message, message_type, read_message
+from neuralmusic.protocol.methods import Method
+from neuralmusic.protocol.names import MAX_LABEL, NAME
+
+Position = tuple[float, float, float]
+Sector = tuple[float, float]
+Include = Literal["spectrum"]
+OutputFormat = Literal["doa", "odas"]
+MIN_INTERVAL_MS, MAX_INTERVAL_MS = 20, 1000
+MIN_SAMPLE_RATE, MAX_SAMPLE_RATE = 4_000, 384_000
+
+
+class AudioFormat(Message):
+    """The format of the binary messages; there are no silent defaults."""
+
+    encoding: Encoding
+    """Little-endian samples, sample frames interleaved"""
+    sample_rate: Annotated[int, Field(ge=MIN_SAMPLE_RATE, le=MAX_SAMPLE_RATE)]
+    """Hertz at which the device records; the service resamples"""
+    channels: Annotated[int, Field(ge=1, le=64)]
+    """Channels in every sample frame, raw microphones and all others"""
+    header: HeaderKind = "none"
+    """`seq_time`: every binary message begins with 16 bytes (u32 flags, u32 sequence, i64 capture
+    time in ns), so that lost messages are noticed and results carry the capture time"""
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of one sample frame, all channels."""
+        return SAMPLE_BYTES[self.encoding] * self.channels
+
+
+class ArrayChoice(Message):
+    """A preset by its name, or positions."""
+
+    name: Optional[Annotated[str, Field(min_length=1, max_length=MAX_LABEL)]] = None
+    """A preset's name (`GET /arrays`), or any name beside `positions_m`"""
+    positions_m: Optional[Annotated[list[Position], Field(min_length=2, max_length=32)]] = None
+    """Metres, `[x, y, z]` per microphone: x forward, y left, z up"""
+    channel_map: Optional[Annotated[list[int], Field(min_length=1, max_length=64)]] = None
+    """Same as `start.channel_map`; give only one of the two"""
+
+
+class OutputOptions(Message):
+    """What results hold and how often they come; `update` changes it in flight."""
+
+    interval_ms: Annotated[int, Field(ge=MIN_INTERVAL_MS, le=MAX_INTERVAL_MS)] = 100
+    """Milliseconds of audio between results"""
+    max_sources: Annotated[int, Field(ge=1, le=4)] = 3
+    """Most sources in a result"""
+    num_sources: Optional[Annotated[int, Field(ge=1, le=4)]] = None
+    """The known number of sources, excluded ones included; null lets the service count"""
+    include: tuple[Include, ...] = ()
+    """`spectrum` adds 360 values of the spatial spectrum to every result"""
+    format: OutputFormat = "doa"
+    """`odas` sends ODAS' SSL and SST objects (`ssl` and `sst`) instead of `result`"""
+    yaw_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
+    """Degrees by which the array is turned counter-clockwise on the robot; azimuths include it"""
+    exclude_deg: Annotated[tuple[Sector, ...], Field(max_length=16)] = ()
+    """Sectors `[from, to]` in degrees, counter-clockwise, after the yaw offset, in which nothing
+    is reported: a loudspeaker, a wall, the robot's own motor"""
+
+    @field_validator("exclude_deg")
+    @classmethod
+    def _check_sectors(cls, sectors: tuple[Sector, ...]) -> tuple[Sector, ...]:
+        for first, last in sectors:
+            if not (-360 <= first <= 360 and -360 <= last <= 360):
+                raise ValueError("a sector is [from, to] in degrees from -360 to 360")
+            if (last - first) % 360 == 0:
+                raise ValueError(f"the sector [{first:g}, {last:g}] is empty or the whole circle")
+        return sectors
+
+
+class OutputUpdate(OutputOptions):
+    """The output options to change; the others stay."""
+
+
+class Start(Message):
+    """The first message of a session."""
+
+    type: Literal["start"]
+    audio: AudioFormat
+    array: ArrayChoice
+    channel_map: Optional[Annotated[list[int], Field(min_length=1, max_length=64)]] = None
+    """The stream's channel of every microphone, from 0. Without it, one channel per microphone is
+    taken as it is, and the channels of the preset's firmware are mapped by `raw_channels` of `GET
+    /arrays`, with the warning `channel_map_assumed`"""
+    model: Annotated[str, Field(min_length=1, max_length=64)] = "default"
+    """A model's name (`GET /models`); `default` is the first that fits the array"""
+    method: Optional[Method] = None
+    """Null is `neural` where a model fits the array, else `norm_music`"""
+    output: OutputOptions = OutputOptions()
+    overflow: Literal["drop_oldest", "block"] = "drop_oldest"
+    """What happens to audio that comes faster than it is localized: with `drop_oldest` results
+    describe the present and a warning tells what was dropped; `block` loses nothing, for files"""
+    client: Optional[Annotated[str, Field(pattern=NAME)]] = None
+    """The robot's name, under which its noise calibration is stored"""
+    noise: Literal["kept", "none"] = "kept"
+    """`kept` whitens with the noise calibration stored for this client, if there is one"""
+
+
+class Update(Message):
+    """Change output options from the next result on."""
+
+    type: Literal["update"]
+    output: OutputUpdate
+
+
+class Flush(Message):
+    """Localize the buffered audio now; a `flushed` follows the last of these results."""
+
+    type: Literal["flush"]
+
+
+class Ping(Message):
+    """Ask for a `pong`, which also keeps an idle session open."""
+
+    type: Literal["ping"]
+    id: Optional[Annotated[int, Field(ge=0, le=2**53)]] = None
+    """Number that the `pong` repeats"""
+
+
+class Calibrate(Message):
+    """Learn the robot's own noise from the audio that follows; nobody may speak meanwhile."""
+
+    type: Literal["calibrate"]
+    kind: Literal["noise"]
+    seconds: Annotated[float, Field(ge=1, le=60)] = 5.0
+    """Seconds of audio"""
+
+
+class Stop(Message):
+    """End the session: the last results, `summary` and close code 1000 follow."""
+
+    type: Literal["stop"]
+
+
+AnyClientMessage = Union[Start, Update, Flush, Ping, Calibrate, Stop]
+CLIENT_MESSAGES: tuple[type[Message], ...] = (Start, Update, Flush, Ping, Calibrate, Stop)
+_ADAPTER: TypeAdapter[AnyClientMessage] = TypeAdapter(
+    Annotated[AnyClientMessage, Field(discriminator="type")]
+)
+_TYPES = [message_type(message) for message in CLIENT_MESSAGES]
+
+
+def read_client_message(text: str | bytes) -> AnyClientMessage:
+    """A client's message from its JSON, or InvalidMessage, which names the field."""
+    return read_message(text, _ADAPTER, _TYPES)

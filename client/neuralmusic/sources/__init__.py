@@ -1,0 +1,1 @@
+"""Sources of a stream's audio: files, standard input, microphones."""

@@ -1,0 +1,1 @@
+"""Streams that reconnect, for programs with asyncio and without."""

@@ -1,0 +1,1 @@
+"""References for readers, written from the program: ``docs/cli.md`` and ``docs/python.md``."""
