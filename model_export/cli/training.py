@@ -29,14 +29,20 @@ def add(commands: Any) -> None:
         "--scratch", action="store_true", help="start from no run, where the config wants one"
     )
     for name, kind in (("steps", int), ("batch-size", int), ("learning-rate", float)):
-        train.add_argument(f"--{name}", type=kind, help="in the place of the configuration's")
-    train.add_argument("--seed", type=int, help="in the place of the configuration's")
+        train.add_argument(f"--{name}", type=kind, help="overrides the configuration's")
+    train.add_argument("--seed", type=int, help="overrides the configuration's")
     train.add_argument(
-        "--noisy", type=float, metavar="SHARE", help="of scenes at -10 to 30 dB (the paper's 0.6)"
+        "--noisy",
+        type=float,
+        metavar="SHARE",
+        help="share of scenes at -10 to 30 dB (0.6 in the paper's code)",
     )
     add_device(train)
     train.add_argument(
-        "--workers", type=int, default=1, help="processes that make scenes; 0: the training's own"
+        "--workers",
+        type=int,
+        default=1,
+        help="processes that make scenes; 0 makes them in this one",
     )
     train.add_argument("--smoke", action="store_true", help="a few steps only, to try it out")
     train.add_argument(
@@ -44,7 +50,10 @@ def add(commands: Any) -> None:
     )
     add_rooms(train, use=", where the config draws arrays")
     train.add_argument(
-        "--singles", type=Path, metavar="DIR", help="folder of single talkers, where it adds them"
+        "--singles",
+        type=Path,
+        metavar="DIR",
+        help="folder of single talkers, for a configuration that adds them up",
     )
     add_corpora(train, required=False)
     train.set_defaults(run_command=_train)
@@ -116,12 +125,12 @@ def _simulated(
 def _recorded(
     arguments: argparse.Namespace, config: TrainingConfig
 ) -> tuple[SceneSource, SceneSource]:
-    """The same two of unlabelled recordings."""
+    """Unlabelled recordings to train on, and others to validate with."""
     from model_export.training.recorded_scenes import RecordedScenes
 
     if config.variant != "sscl" or config.array is None:
         raise ValueError(
-            f"{config.name} learns from directions, which recordings do not tell: use --recordings "
-            "with a self-supervised configuration, such as paper-sscl"
+            f"{config.name} learns from directions, but recordings have no labels: use "
+            "--recordings with a self-supervised configuration, such as paper-sscl"
         )
     return RecordedScenes.split(arguments.recordings, preset(config.array))

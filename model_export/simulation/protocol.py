@@ -32,12 +32,12 @@ VOICED_DB = 20.0
 
 
 MOST_TRIES = 100_000
-"""To place sources: four take a dozen"""
+"""Draws until sources count as impossible to place; four take a dozen"""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneProtocol:
-    """What is fixed and what is drawn in a set of scenes."""
+    """Fixed and drawn properties of a set of scenes."""
 
     num_sources: int = 1
     array: str = "respeaker-usb-4mic-v2"
@@ -49,21 +49,21 @@ class SceneProtocol:
     snr_db: float = 30.0
     """White sensor noise against one source's power"""
     distance: tuple[float, float] = (0.5, 2.0)
-    """Metres, drawn for every source of its own"""
+    """Metres from the array, drawn for every source on its own"""
     min_separation_deg: float = 10.0
     separation_deg: float | None = None
     """Fixed angle between two sources; None draws it"""
     azimuths_deg: tuple[float, ...] | None = None
-    """Directions that every source's is drawn from; None: all around"""
+    """Directions to draw from; None draws from the full circle"""
     continuous: bool = False
     """Talkers speak before, throughout and after the window, not one word from its beginning"""
     num_samples: int = WINDOW_SAMPLES
-    """Of the window"""
+    """Samples of the window"""
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatedScene:
-    """Audio and all that is known about it."""
+    """Audio and its ground truth."""
 
     audio: FloatArray
     """(N, T) float32"""

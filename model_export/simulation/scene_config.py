@@ -1,4 +1,4 @@
-"""What training scenes may hold."""
+"""Contents of training scenes."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class SceneConfig:
-    """What a training scene may hold; probabilities unless said otherwise.
+    """Contents of a training scene: probabilities, unless a field says otherwise.
 
-    What single talkers of a bank look at is said at ``singles.SinglesBank.draw``.
+    ``singles.SinglesBank.draw`` says which fields apply to single talkers of a bank.
     """
 
     source_counts: tuple[float, ...] = (0.0, 0.55, 0.35, 0.10)
@@ -21,9 +21,9 @@ class SceneConfig:
     snr_db: tuple[float, float] = (-5.0, 35.0)
     """Signal-to-noise ratio against all noise, uniform"""
     noisy: float = 0.0
-    """Single talkers: the ratio is drawn from ``noisy_snr_db`` instead; the paper's code has 0.6"""
+    """Share of the scenes whose ratio is drawn from ``noisy_snr_db``; the paper's code has 0.6"""
     noisy_snr_db: tuple[float, float] = (-10.0, 30.0)
-    """As in the paper's code"""
+    """Signal-to-noise ratio of noisy scenes, uniform; the paper's code has the same"""
     symmetric: bool = False
     """Whether single talkers are turned and mirrored at random, as their array allows"""
     level_difference_db: float = 3.0
@@ -32,7 +32,7 @@ class SceneConfig:
     """Metres, standard deviation of the microphones against their nominal places"""
     diffuse: float = 0.5
     recorded: float = 0.4
-    """Of the diffuse noises, where recordings are given"""
+    """Share of the diffuse noises that are recorded, if recordings are given"""
     coupled: float = 0.15
     machine: float = 0.15
     """A fan at one place, which is no talker; more often where nobody talks"""

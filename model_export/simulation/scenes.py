@@ -36,12 +36,12 @@ RESPONSE_DELAY = 40
 """Samples by which pyroomacoustics' fractional delays are late"""
 DIRECT_SECONDS = 1e-3
 AUDIBLE = 0.02
-"""Of its mean power over the whole scene: a talker that is quieter in a part of it is not there"""
+"""Share of its mean power below which a talker counts as absent in a part of a scene"""
 
 LATE = (0.3, 0.95)
-"""Of the window: where talkers begin in it"""
+"""Earliest and latest beginning of a talker, as shares of the window"""
 ONSET_LEVEL = 0.1
-"""Of a clip's peak: where its sound begins"""
+"""Share of a clip's peak at which its sound begins"""
 
 
 @dataclass(frozen=True, slots=True)

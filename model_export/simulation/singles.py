@@ -102,8 +102,8 @@ class SinglesBank:
     def draw(self, rng: np.random.Generator, config: SceneConfig) -> Scene:
         """A random scene: talkers of the bank added up, and sensor noise.
 
-        Of the configuration this looks at the counts, the separation, the ratios and the
-        symmetries. As in the paper's protocol the noise stands against the power of all talkers.
+        The configuration's counts, separation, ratios and symmetries apply. The ratio relates the
+        power of all talkers to the noise, as in the paper's protocol.
         """
         count = int(rng.choice(len(config.source_counts), p=config.source_counts))
         talkers, views, azimuth = self._apart(rng, count, config)

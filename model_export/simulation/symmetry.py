@@ -18,14 +18,14 @@ class Symmetry:
     """One way to see a scene: its channels in another order, its azimuths elsewhere."""
 
     permutation: IntArray
-    """(N,) the channel that each channel's place is taken by"""
+    """(N,) channel that takes the place of each channel"""
     sign: int
     """-1 mirrors at the x axis before the turn"""
     turn: float
     """Radians, counter-clockwise"""
 
     def azimuth(self, azimuth: FloatArray) -> FloatArray:
-        """Where sources at these azimuths come to be."""
+        """Azimuths of the sources in the turned or mirrored scene."""
         return self.sign * azimuth + self.turn
 
 

@@ -26,7 +26,7 @@ class TrainingConfig:
     batch_size: int = 16
     """Scenes per step"""
     learning_rate: float = 2e-3
-    """At the start; it falls to a hundredth along a cosine"""
+    """Rate at the start; it falls to a hundredth along a cosine"""
     weight_decay: float = 1e-4
     grid_size: int = 120
     """Angles of the training grid; its offset is drawn anew for every batch"""
@@ -39,13 +39,13 @@ class TrainingConfig:
     phase_reference: PhaseReference = "first"
     """Phases of the `regression` variant's features; "absolute" is the paper's text"""
     level_exponent: float = 0.0
-    """Of its features' levels (``service.doa.spectrogram``); 0 leaves unit vectors"""
+    """Exponent of the level in its features (``service.doa.spectrogram``); 0 keeps unit vectors"""
     smooth_kernels: int = 0
-    """Cosines that its last convolution is trained as (``reparametrize``); 0 trains it as it is"""
+    """Cosines that its last convolution is trained as (``reparametrize``); 0 trains free kernels"""
     pool_first: bool = False
     """Whether its networks are trained with pooling before batch norm (``reparametrize``)"""
     bin_step: int = 1
-    """Every how many-th bin forms the spectra of its loss, from a random one on"""
+    """Step between the bins whose spectra enter its loss; the first bin is random"""
     array: str | None = None
     """Preset that the run is bound to; None draws random arrays from the room bank"""
     singles: bool = False
@@ -63,6 +63,7 @@ class TrainingConfig:
     checkpoint_every: int = 250
     """Steps between checkpoints, curves and validation"""
     validation_scenes: int = 128
+    """Scenes that every validation is scored on"""
     seed: int = 1
 
     def __post_init__(self) -> None:
@@ -149,7 +150,7 @@ ANY_ARRAY_LIGHT_FINE = replace(
     scenes=MANY_FANS,
     seed=5,
 )
-"""What distillation left to the spectra"""
+"""A last stage of spectra for the distilled network"""
 
 PAPER_SCENES = SceneConfig(
     source_counts=(0.05, 0.40, 0.40, 0.15),

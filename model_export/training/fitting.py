@@ -11,22 +11,23 @@ import torch
 from torch import Tensor, nn
 
 CHECKPOINT = "checkpoint.pt"
-"""In a run's folder"""
+"""File of a run's folder"""
 
 
 class Fitting:
-    """One run's optimization, which goes on at the folder's checkpoint if there is one.
+    """One run's optimization, resumed from the folder's checkpoint if there is one.
 
     Parameters
     ----------
     model : Module
-        On the device that it is trained on.
+        The model, on the device of the training.
     optimizer : Optimizer
-        Of its parameters, with the rate of the start; it falls to a hundredth along a cosine.
+        Optimizer of its parameters with the first learning rate, which falls to a hundredth along a
+        cosine.
     steps, warm_up : int
-        Of the whole run, and of its linear beginning.
+        Steps of the whole run, and of the linear warm-up.
     run : Path
-        The folder, which exists.
+        Existing folder of the run.
     """
 
     def __init__(
@@ -49,11 +50,11 @@ class Fitting:
 
     @property
     def learning_rate(self) -> float:
-        """Of the next step."""
+        """Learning rate of the next step."""
         return float(self._schedule.get_last_lr()[0])
 
     def optimize(self, loss: Tensor) -> None:
-        """One step down a loss's gradient, whose norm is held to 1."""
+        """Take one step down the loss's gradient, clipped to a norm of 1."""
         self._optimizer.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self._model.parameters(), 1.0)
@@ -62,7 +63,7 @@ class Fitting:
         self.step += 1
 
     def save(self) -> None:
-        """Write the checkpoint; an interruption leaves the one before."""
+        """Write the checkpoint; an interrupted write leaves the previous one."""
         unfinished = self._run / "checkpoint.part"
         state = {
             "step": self.step,

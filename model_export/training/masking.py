@@ -49,7 +49,7 @@ def masked_features(
         The masked microphone of every scene.
     mask : (B, F, L) bool
     level_exponent : float
-        As ``spectrogram_features`` has it.
+        Exponent of the level, see ``spectrogram_features``.
 
     Returns
     -------

@@ -48,13 +48,13 @@ def train(
 ) -> Task[Any]:
     """Train until ``config.steps``, continuing from the run folder's checkpoint if there is one.
 
-    ``init`` is the folder of the run that ``config.starts_from`` names. The run may go on on
-    another ``device`` than it began. Without ``workers`` scenes are made between the steps.
+    ``init`` is the folder of the run that ``config.starts_from`` names. A run may be resumed on
+    another ``device``. Without ``workers`` scenes are made between the steps.
 
     Returns
     -------
     task : Task
-        With the trained model in evaluation mode, on the CPU, merged into the text's network.
+        Task with the trained model on the CPU, in evaluation mode, merged into the text's network.
     """
     run.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(config.seed)
@@ -96,7 +96,7 @@ def _finished(task: Task[Any]) -> Task[Any]:
 
 
 def _start_from(config: TrainingConfig, task: Task[Any], init: Path | None) -> None:
-    """Take from the run that the configuration starts from what the task takes."""
+    """Load the parameters that the task takes over from the run that it starts from."""
     if config.starts_from is None and init is None:
         return
     if config.starts_from is None or init is None:
@@ -169,7 +169,7 @@ def _write_curves(
 
 
 class _Tell(Protocol):
-    """Told the state of a training and, now and then, the scores of its validation."""
+    """Listener to a training's state and, now and then, the scores of its validation."""
 
     def __call__(
         self, fitting: Fitting, loss: float, scores: Mapping[str, float] | None = None

@@ -17,7 +17,7 @@ TOLERANCES = {
     "first_s": 0.3,
 }
 TOLERANCE = 0.05
-"""Of other fractions: confidences, seconds"""
+"""Tolerance of other fractions, such as confidences and seconds"""
 OF_THIS_RUN = {
     "buffered_ms",
     "capture_time_ns",

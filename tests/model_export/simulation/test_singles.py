@@ -113,7 +113,7 @@ def test_the_noise_has_the_ratio_to_all_talkers_and_is_louder_in_noisy_scenes(
     bank = SinglesBank(folder, ARRAY)
 
     def noise_power(config: SceneConfig) -> float:
-        """Of what a scene has beyond the same scene without noise."""
+        """Power of the difference between a scene and the same scene without noise."""
         loud = bank.draw(np.random.default_rng(3), config)
         clean = replace(config, snr_db=(200.0, 200.0), noisy_snr_db=(200.0, 200.0))
         return float(
