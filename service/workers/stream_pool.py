@@ -74,7 +74,7 @@ class StreamWorker:
         self._transport: asyncio.Transport | None = None
         self._unsent: list[bytes] = []
         self._deadline: asyncio.TimerHandle | None = None
-        """Of its start"""
+        """Timer that ends a start that takes too long"""
         self._answered = 0.0
         self.sessions = 0
         """Sessions computed here"""

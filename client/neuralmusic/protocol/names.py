@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
-"""Of robots, keys and noise profiles, which become parts of paths, headers and log lines"""
+"""Names of robots, keys and noise profiles; they become parts of paths, headers and log lines"""
 NAME_RULE = "1 to 64 letters, digits, dots, underscores and hyphens, the first a letter or a digit"
 MAX_LABEL = 64
-"""Characters of a label"""
+"""Most characters of a label"""
 
 
 def is_name(text: str) -> bool:

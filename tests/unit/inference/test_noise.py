@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import io
-import logging
-import os
 import struct
-import threading
 import zipfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,12 +14,9 @@ import numpy as np
 import pytest
 
 from neuralmusic.errors import (
-    ConfigError,
     InvalidOption,
     NoiseMismatch,
     NoiseProfileInvalid,
-    NoiseStoreFull,
-    UnknownNoise,
 )
 from neuralmusic.protocol.methods import METHODS
 from service.doa.array import MicrophoneArray
@@ -35,7 +28,6 @@ from service.doa.whitening import NoiseCovariance, learn_noise
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, localizer_of
 from service.inference.noise_profile import MAX_BYTES, load_noise, noise_bytes
-from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.inference.stream import stream_localizer_of
 
@@ -282,120 +274,3 @@ def test_the_largest_array_with_the_longest_frames_fits_in_a_file() -> None:
     covariance = np.tile(np.eye(32, dtype=np.complex64), (2049, 1, 1))
     noise = NoiseCovariance(covariance, array, Stft(16000, 4096, 2048), 5.0)
     assert load_noise(io.BytesIO(noise_bytes(noise))).covariance.shape == (2049, 32, 32)
-
-
-def test_the_store_keeps_profiles_by_name_across_restarts(
-    profile: NoiseCovariance, tmp_path: Path
-) -> None:
-    folder = tmp_path / "noise"
-    store = NoiseStore(folder)
-    assert store.all() == []
-    stored = store.put("kitchen_fan-2.1", profile)
-    store.put("arms", replace(profile, seconds=7.0))
-    assert [each.name for each in NoiseStore(folder).all()] == ["arms", "kitchen_fan-2.1"]
-    again = NoiseStore(folder).get("kitchen_fan-2.1")
-    np.testing.assert_array_equal(again.noise.covariance, profile.covariance)
-    assert abs((again.created - stored.created).total_seconds()) < 60
-    store.delete("arms")
-    assert [path.name for path in folder.iterdir()] == ["kitchen_fan-2.1.npz"]
-    with pytest.raises(UnknownNoise, match=r"stored are kitchen_fan-2\.1"):
-        NoiseStore(folder).get("arms")
-    with pytest.raises(UnknownNoise):
-        store.delete("arms")
-
-
-def test_a_profile_whose_file_stays_is_not_forgotten(
-    profile: NoiseCovariance, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    store = NoiseStore(tmp_path)
-    store.put("fans", profile)
-
-    def refused(*_: object, **__: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(Path, "unlink", refused)
-    with pytest.raises(PermissionError):
-        store.delete("fans")
-    assert store.get("fans").name == "fans"
-    monkeypatch.undo()
-    store.delete("fans")
-    assert NoiseStore(tmp_path).all() == []
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["", ".", "..", "../fan", "a/b", "a\\b", ".hidden", "-rf", "a b", "fän", "x" * 65, "a\n"],
-)
-def test_names_that_leave_the_folder_are_refused(
-    name: str, profile: NoiseCovariance, tmp_path: Path
-) -> None:
-    with pytest.raises(InvalidOption, match="1 to 64 letters"):
-        NoiseStore(tmp_path / "noise").put(name, profile)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_full_store_refuses_new_names_only(profile: NoiseCovariance) -> None:
-    store = NoiseStore(capacity=2)
-    store.put("a", profile)
-    store.put("b", profile)
-    store.put("a", profile)
-    with pytest.raises(NoiseStoreFull, match="2 noise profiles"):
-        store.put("c", profile)
-    store.delete("a")
-    assert store.put("c", profile).name == "c"
-
-
-def test_a_corrupt_file_is_left_out_with_a_warning(
-    profile: NoiseCovariance, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    NoiseStore(tmp_path).put("good", profile)
-    (tmp_path / "bad.npz").write_bytes(b"PK nonsense")
-    (tmp_path / "named.npz").write_bytes(rewritten(noise_bytes(profile), name=named(0xD800)))
-    (tmp_path / ".half.part").write_bytes(b"PK")
-    os.mkfifo(tmp_path / "pipe.npz")
-    with caplog.at_level(logging.WARNING):
-        assert [each.name for each in NoiseStore(tmp_path).all()] == ["good"]
-    assert "bad.npz left out" in caplog.text
-    assert "named.npz left out" in caplog.text
-    assert (tmp_path / "bad.npz").exists()
-
-
-def test_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "noise").write_text("")
-    with pytest.raises(ConfigError, match="is not a folder"):
-        NoiseStore(tmp_path / "noise")
-
-
-def test_many_threads_may_store_at_once(profile: NoiseCovariance, tmp_path: Path) -> None:
-    store = NoiseStore(tmp_path, capacity=5)
-    refused = []
-
-    def put(index: int) -> None:
-        try:
-            store.put(f"n{index % 8}", profile)
-        except NoiseStoreFull:
-            refused.append(index)
-
-    threads = [threading.Thread(target=put, args=(index,)) for index in range(24)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(store.all()) == len(list(tmp_path.iterdir())) == 5
-    assert len(refused) == 9  # the names without room, three times each
-
-
-def test_the_profiles_together_have_a_bound_in_bytes(
-    profile: NoiseCovariance, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    """A profile of the most microphones has 500 times the bytes of one of four."""
-    room = 2 * profile.covariance.nbytes
-    store = NoiseStore(tmp_path, max_bytes=room)
-    store.put("a", profile)
-    store.put("b", profile)
-    store.put("b", profile)  # in place of itself
-    with pytest.raises(NoiseStoreFull, match="MB"):
-        store.put("c", profile)
-    assert [each.name for each in NoiseStore(tmp_path, max_bytes=room).all()] == ["a", "b"]
-    assert [each.name for each in NoiseStore(tmp_path, max_bytes=room // 2).all()] == ["a"]
-    assert "exceeds the limit of noise profiles" in caplog.text
