@@ -19,7 +19,7 @@ from neuralmusic.errors import ReloadRefused
 from service.api.middleware.hosts import is_loopback
 from service.api.state import ServiceState
 from service.app import create_app
-from service.connections import HttpProtocol, StreamProtocol, limit_untaken
+from service.connections import HttpProtocol, StreamProtocol, check_address, limit_untaken
 from service.lifecycle import Phase
 from service.observability.logs import configure_logging, server_log_level
 from service.settings import Settings
@@ -103,7 +103,9 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
     Raises
     ------
     BundleError, ConfigError
-        If the bundles cannot be loaded: nothing listens then.
+        If the bundles cannot be loaded, or the port is taken: nothing listens then.
+    WorkerLost
+        If a worker process does not come up.
     """
     configure_logging(settings)
     warn_if_open(settings)
@@ -113,6 +115,7 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
     if sys.platform != "win32":
         # SIGHUP would end the process: block it until there is a handler.
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+    check_address(settings.host, settings.port)  # before seconds are spent on models
     app = create_app(settings, load_registry(settings))
     Server(server_config(app, settings), app.state.service, announce).run()
 

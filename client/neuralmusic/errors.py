@@ -41,6 +41,13 @@ UNEXPECTED = "the service failed; its log says why: please report it"
 """Sentence for unexpected errors; their cause stays in the log"""
 
 
+def printable(text: str) -> str:
+    """``text`` with what begins lines, moves cursors or is no character written out."""
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() else repr(each)[1:-1] for each in text)
+
+
 class Attributes(TypedDict, total=False):
     """Keywords of the class statement of an error."""
 
@@ -72,8 +79,8 @@ class DoaError(Exception):
             setattr(cls, name, value)
 
     def __init__(self, detail: str) -> None:
-        super().__init__(detail)
-        self.detail = detail
+        self.detail = printable(detail)  # sentences repeat paths and what libraries say
+        super().__init__(self.detail)
 
 
 class ConfigError(DoaError, code="config_invalid", title="Invalid configuration"):

@@ -26,6 +26,7 @@ from typing import Literal, get_args
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
 from neuralmusic.errors import ConfigError
+from neuralmusic.protocol.names import NAME
 
 log = logging.getLogger(__name__)
 
@@ -43,7 +44,7 @@ class Key(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")
+    name: str = Field(pattern=NAME)
     """Name of the token's owner, for logs"""
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$", repr=False)
     """SHA-256 of the token, hexadecimal"""

@@ -20,8 +20,10 @@ router = APIRouter(prefix="/admin", tags=["service"])
 async def reload(request: Request) -> ModelsAnswer:
     """Read bundles and keys again, verify and self-test them, and use them, as SIGHUP does.
 
-    Running streams and recordings keep the models that they began with. A bundle or a file of keys
-    that cannot be used is refused, and everything stays as it was.
+    Running streams and recordings keep the models that they began with. Keys are read first: a file
+    that cannot be used is refused, and everything stays as it was. A bundle that cannot be used is
+    refused, too, and the models stay as they were; the new keys hold. Reloads that are asked for
+    while one runs are one more.
     """
     state = state_of(request)
     state.admit()

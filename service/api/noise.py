@@ -19,6 +19,7 @@ from neuralmusic.errors import (
     UnknownNoise,
     UploadTooLarge,
 )
+from neuralmusic.protocol.names import NAME_RULE
 from service.api.catalog import NOT_FOUND
 from service.api.middleware.guard import key_of
 from service.api.problems import problem_responses
@@ -34,7 +35,7 @@ SPOOL_BYTES = 2**20
 
 router = APIRouter(tags=["noise"])
 
-Name = Annotated[str, Path(description="1 to 64 letters, digits, dots, underscores and hyphens.")]
+Name = Annotated[str, Path(description=f"{NAME_RULE}.")]
 
 
 class NoiseAnswer(Answer):

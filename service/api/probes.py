@@ -35,7 +35,10 @@ async def livez() -> StatusAnswer:
     responses=problem_responses(NotReady, Draining),
 )
 async def readyz(request: Request) -> StatusAnswer:
-    """200 from when the models are loaded and self-tested until shutdown begins, else 503."""
+    """200 from when the models are loaded and self-tested until shutdown begins, else 503.
+
+    Also 503 while no stream worker or no recording worker is ready.
+    """
     state_of(request).check_ready()
     return StatusAnswer()
 

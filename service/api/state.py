@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import anyio.to_thread
@@ -12,6 +14,7 @@ from fastapi import Request
 
 from neuralmusic.errors import DoaError, NotReady, ReloadRefused
 from service.access.keys import Keys
+from service.api.reloads import Reloads, within
 from service.audio.recording import AudioLimits
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
@@ -27,6 +30,13 @@ from service.workers.recording_pool import RecordingWorkers
 from service.workers.stream_pool import StreamWorkers
 
 log = logging.getLogger(__name__)
+
+LOAD_S = 30.0
+"""Seconds in which a reload must have read and tested all bundles"""
+TEND_S = 1.0
+"""Seconds between looks for workers that ended"""
+MOST_TEND_S = 30.0
+"""The same while none comes up"""
 
 
 @dataclass(slots=True)
@@ -48,9 +58,13 @@ class ServiceState:
     """Limits checks to one at a time: the largest profile takes some hundred megabytes"""
     keys: Keys = field(default_factory=Keys)
     """API keys; they decide who may do what"""
-    _reloading: asyncio.Lock = field(default_factory=asyncio.Lock)
+    _key_reloads: Reloads[None] = field(init=False)
+    _model_reloads: Reloads[BundleRegistry] = field(init=False)
+    _tending: asyncio.Task[None] | None = None
 
     def __post_init__(self) -> None:
+        self._key_reloads = Reloads(self._reload_keys)
+        self._model_reloads = Reloads(self._reload_models)
         self.metrics.read_from(self.gauges)
 
     @classmethod
@@ -103,37 +117,80 @@ class ServiceState:
             self.install(await anyio.to_thread.run_sync(load_registry, self.settings))
 
     async def start_workers(self) -> None:
-        """Start a worker of each kind, so that the first client need not wait."""
+        """Start a worker of each kind, so that the first client does not wait for it.
+
+        From then on one of each is kept.
+
+        Raises
+        ------
+        WorkerLost
+            If one does not come up.
+        """
         log.info("the models are loaded: %s", self.registry)
         await asyncio.gather(self.stream_workers.start(), self.recording_workers.start())
+        self._tending = asyncio.create_task(self._tend())
         give_back_memory()  # what loading and the self-test took
 
-    async def reload(self) -> BundleRegistry:
-        """Read the bundles and the keys again, verify and self-test them, and use them.
+    async def _tend(self) -> None:
+        """Replace workers that end between two looks; the seldomer, the longer there is none."""
+        pause = TEND_S
+        while True:
+            await asyncio.sleep(pause)
+            try:
+                self.stream_workers.tend()
+                if self.recording_workers.lacking:
+                    await anyio.to_thread.run_sync(self.recording_workers.tend)
+            except OSError as error:
+                log.error("no worker can be started: %s", error)
+            pause = TEND_S if self._has_workers else min(2 * pause, MOST_TEND_S)
 
-        Running streams and recordings keep the bundles that they began with.
+    @property
+    def _has_workers(self) -> bool:
+        """False where workers are kept, and one of the kinds has none that is ready."""
+        if self._tending is None:
+            return True
+        return self.stream_workers.ready and self.recording_workers.ready
+
+    async def reload(self) -> BundleRegistry:
+        """Read the keys, then the bundles again, verify and self-test, and serve with them.
+
+        Keys are in force before any bundle is read: whose was taken away is out at once. Running
+        streams and recordings keep the bundles that they began with.
 
         Raises
         ------
         ReloadRefused
-            If they cannot be used; everything then stays as it was.
+            If they cannot be used, or not read in time; what was read earlier goes on then.
         """
-        async with self._reloading:
-            try:
-                registry = await anyio.to_thread.run_sync(load_registry, self.settings)
-                await anyio.to_thread.run_sync(self.keys.reload)
-                await self._renew_workers(Setup(self.settings, registry.files))
-            except DoaError as error:
-                self.metrics.reloaded(ok=False)
-                log.error("the models were not reloaded: %s", error.detail)
-                raise ReloadRefused(
-                    f"{error.detail}; the service keeps the models that it has"
-                ) from error
-            self.registry = registry
-            give_back_memory()
+        await self._key_reloads.ask()
+        return await self._model_reloads.ask()
+
+    async def _reload_keys(self) -> None:
+        with self._refusing("keys"):
+            await within(LOAD_S, self.keys.reload)
+
+    async def _reload_models(self) -> BundleRegistry:
+        with self._refusing("models"):
+            registry = await within(LOAD_S, load_registry, self.settings)
+            await self._renew_workers(Setup(self.settings, registry.files))
+        self.registry = registry
+        give_back_memory()
         self.metrics.reloaded(ok=True)
         log.info("the models were reloaded: %s", registry)
         return registry
+
+    @contextmanager
+    def _refusing(self, what: str) -> Iterator[None]:
+        """Count, log and refuse a reload that fails."""
+        try:
+            yield
+        except (DoaError, OSError) as error:
+            detail = error.detail if isinstance(error, DoaError) else str(error)
+            if isinstance(error, TimeoutError):
+                detail = f"reading them took longer than {LOAD_S:g} s: look at their disk"
+            self.metrics.reloaded(ok=False)
+            log.error("the %s were not reloaded: %s", what, detail)
+            raise ReloadRefused(f"{detail}; the {what} that were loaded go on serving") from error
 
     async def _renew_workers(self, setup: Setup) -> None:
         """Start workers of both kinds with a new setup, then let new work go to them."""
@@ -153,6 +210,8 @@ class ServiceState:
     async def stop(self) -> None:
         """End all worker processes, send the last traces."""
         self.lifecycle.enter(Phase.ENDING)
+        if self._tending is not None:
+            self._tending.cancel()
         await self.stream_workers.stop()
         await anyio.to_thread.run_sync(self.recording_workers.stop)
         await anyio.to_thread.run_sync(self.traces.stop)
@@ -166,12 +225,15 @@ class ServiceState:
     @property
     def ready(self) -> bool:
         """Whether new work may come, as ``/readyz`` answers."""
-        return self.registry is not None and not self.lifecycle.reached(Phase.LEAVING)
+        loaded = self.registry is not None and self._has_workers
+        return loaded and not self.lifecycle.reached(Phase.LEAVING)
 
     def check_ready(self) -> None:
         """Raise NotReady or Draining where new work should go elsewhere."""
         self.admit()
         self.lifecycle.check(Phase.LEAVING)
+        if not self._has_workers:
+            raise NotReady("no process that computes is ready: try again in a moment")
 
     def admit(self) -> BundleRegistry:
         """The loaded bundles for new work; raises Draining once the service shuts down."""

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import logging
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack, suppress
+from functools import partial
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
+from starlette.types import Message
 
 from neuralmusic.errors import (
+    UNEXPECTED,
     AccessError,
     AudioQuota,
     DoaError,
@@ -31,6 +36,8 @@ from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session
 from service.streaming.work import Close, Outcome
 from service.workers.stream_pool import worker_lost
+
+log = logging.getLogger(__name__)
 
 TICK_S = 1.0
 """Seconds between ticks of a session"""
@@ -88,6 +95,8 @@ class Connection:
         self._streams = state.streams
         self._most = settings.max_sessions_per_client
         self._outbox = Outbox()
+        self._broken = False
+        """The session's code has raised: it is called no more"""
         self._sending: float | None = None
         """Loop time at which the message being sent began"""
         self._room = asyncio.Event()
@@ -105,7 +114,7 @@ class Connection:
             ),
             self._loop.time(),
         )
-        self._entry = self._streams.add(self.session, reporter, self.pump)
+        self._entry = self._streams.add(self.session, reporter, self.act)
 
     async def run(self) -> None:
         """Accept the connection and serve it until either side ends the session."""
@@ -114,17 +123,16 @@ class Connection:
             await self._websocket.accept(subprotocol=SUBPROTOCOL)
             tasks += [asyncio.create_task(each()) for each in (self._read, self._write, self._tick)]
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            if any(isinstance(task.exception(), TimeoutError) for task in done):
-                self.session.fail(StreamTimeout(f"the client read nothing in {SEND_TIMEOUT_S:g} s"))
+            self.act(partial(self._ended, done))
         finally:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-            self.session.abandon()
-            # The socket is closed already, or the client does not read the close frame either.
+            self.act(self.session.abandon)
+            # It is closed already, or a client that reads nothing does not take the close either.
             with suppress(RuntimeError, WebSocketDisconnect, TimeoutError):
                 async with asyncio.timeout(SEND_TIMEOUT_S):
-                    await self._websocket.close(CloseCode.TIMEOUT)
+                    await self._websocket.close(self.session.close_code or CloseCode.TIMEOUT)
             self._worker.submit(Close(self.session.id))
             self._stream_workers.release(self._worker)
             self._streams.end(self._entry)
@@ -132,14 +140,44 @@ class Connection:
                 give_back_memory()
             self._watch.ended(self._entry.client)
 
-    def pump(self) -> None:
-        """Submit the session's next job, make room, close the outbox after the session."""
+    def act(self, step: Callable[[], None]) -> None:
+        """Have the session take a step, then do what follows from it.
+
+        Whatever that raises is this session's defect and its end. It goes no further: a worker's
+        answers, the drain and the clock have other sessions to tell.
+        """
+        if self._broken:
+            return
+        try:
+            step()
+            self._pump()
+        except Exception:
+            self._broken = True
+            log.exception("the stream failed", extra={"session_id": self.session.id})
+            with suppress(Exception):  # the same again, where it cannot be told either
+                self.session.fail(DoaError(UNEXPECTED))
+            self._outbox.close()
+            self._room.set()
+
+    def _ended(self, tasks: Iterable[asyncio.Task[None]]) -> None:
+        """Take in how reading, writing or looking came to its end."""
+        for task in tasks:
+            with suppress(RuntimeError, WebSocketDisconnect):  # the client is gone
+                try:
+                    task.result()
+                except TimeoutError:
+                    self.session.fail(
+                        StreamTimeout(f"the client read nothing in {SEND_TIMEOUT_S:g} s")
+                    )
+
+    def _pump(self) -> None:
+        """Hand out the session's next work, make room, close what is closed."""
         work = self.session.take_work()
         if work is not None:
             self._worker.submit(work, self._worked)
         check = self.session.take_check()
         if check is not None:
-            self._worker.submit(check, self.session.check_done)
+            self._worker.submit(check, self._checked)
         if self.session.close_code is not None:
             self._outbox.close()
         if self.session.wants_audio:
@@ -148,8 +186,10 @@ class Connection:
             self._room.clear()
 
     def _worked(self, outcome: Outcome) -> None:
-        self.session.work_done(outcome, self._loop.time())
-        self.pump()
+        self.act(lambda: self.session.work_done(outcome, self._loop.time()))
+
+    def _checked(self, outcome: Outcome) -> None:
+        self.act(lambda: self.session.check_done(outcome))
 
     def _emit(self, message: ServerMessage) -> None:
         text = message_json(message, spectrum="spectrum" in self.session.output.include)
@@ -175,17 +215,20 @@ class Connection:
                 return
             if received["type"] == "websocket.disconnect":
                 return
-            now = self._loop.time()
-            data, text = received.get("bytes"), received.get("text")
-            if data is not None:
-                account = self._reporter.account
-                audio_s, dropped_s = account.audio_s, account.dropped_s
-                self.session.receive_bytes(data, now)
-                self._heard(account.audio_s - audio_s, account.dropped_s - dropped_s)
-            elif text is not None:
-                self.session.receive_text(text, now)
-                self._check_client()
-            self.pump()
+            self.act(partial(self._received, received))
+
+    def _received(self, message: Message) -> None:
+        """Take a message of the client's."""
+        now = self._loop.time()
+        data, text = message.get("bytes"), message.get("text")
+        if data is not None:
+            account = self._reporter.account
+            audio_s, dropped_s = account.audio_s, account.dropped_s
+            self.session.receive_bytes(data, now)
+            self._heard(account.audio_s - audio_s, account.dropped_s - dropped_s)
+        elif text is not None:
+            self.session.receive_text(text, now)
+            self._check_client()
 
     def _heard(self, audio_s: float, dropped_s: float) -> None:
         """Count the audio of a message; end the session where the key's audio is used up."""
@@ -230,10 +273,13 @@ class Connection:
             await asyncio.sleep(TICK_S)
             now = self._loop.time()
             if self._sending is not None and now - self._sending > SEND_TIMEOUT_S:
-                raise TimeoutError  # nothing reaches a client that reads nothing
-            self.session.tick(now)
-            self._check_key()
+                raise TimeoutError  # nothing more could be said to a client that reads nothing
             self._worker.watch(now)
-            if self._worker.lost:  # a stream that waits for audio would not notice
-                self.session.fail(worker_lost())
-            self.pump()
+            self.act(partial(self._look, now))
+
+    def _look(self, now: float) -> None:
+        """End the session where its time is over, its key is good no more or its worker is gone."""
+        self.session.tick(now)
+        self._check_key()
+        if self._worker.lost:  # a stream that is waiting for audio would not notice
+            self.session.fail(worker_lost())

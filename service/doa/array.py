@@ -14,6 +14,7 @@ MIN_MICROPHONES = 2
 MAX_MICROPHONES = 32
 MIN_APERTURE = 0.01  # m; below it the delays vanish in the noise
 MAX_APERTURE = 2.0  # m; above it talkers are in the near field and the unit is suspect
+MAX_DISTANCE = 100.0  # m, from the frame's origin; far away the differences lose their digits
 ROUNDING = 1e-6  # m; a ring of 5 mm radius computed from angles may miss 1 cm by a bit
 MIN_SPACING = 1e-4  # m; two microphones cannot stand at one point
 SPEED_OF_SOUND = 343.0  # m/s at 20 degrees Celsius
@@ -125,12 +126,19 @@ def validate_positions(positions: FloatArray) -> None:
         )
     if not np.isfinite(positions).all():
         raise InvalidGeometry("microphone positions must be finite numbers")
-    distances = pairwise_distances(positions)
+    with np.errstate(over="ignore"):
+        distances = pairwise_distances(positions)
     aperture = distances.max()
     if aperture > MAX_APERTURE + ROUNDING:
         raise InvalidGeometry(
             f"the outermost microphones are {aperture:g} m apart (at most {MAX_APERTURE:g} m): "
             f"{_unit_hint(aperture)}"
+        )
+    farthest = np.abs(positions).max()
+    if farthest > MAX_DISTANCE:
+        raise InvalidGeometry(
+            f"a microphone is {farthest:g} m from the origin (at most {MAX_DISTANCE:g} m): give "
+            "positions about the array's own middle"
         )
     if 0 < aperture < MIN_APERTURE - ROUNDING:
         raise InvalidGeometry(

@@ -72,5 +72,13 @@ def attention_weights(spectra: FloatArray, squeeze: FloatArray, excite: FloatArr
     """
     pooled = spectra.mean(axis=-1)
     hidden = np.maximum(pooled @ squeeze.T, 0)
-    attention: FloatArray = 1 / (1 + np.exp(-(hidden @ excite.T)))
-    return attention
+    return sigmoid(hidden @ excite.T)
+
+
+def sigmoid(logits: FloatArray) -> FloatArray:
+    """1 / (1 + exp(-x)), in float32 also of logits in the hundreds.
+
+    Windows unlike any in training, digital silence among them, give such.
+    """
+    chances: FloatArray = 1 / (1 + np.exp(-np.clip(logits, -80, 80)))
+    return chances

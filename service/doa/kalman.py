@@ -18,15 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from service.doa.peaks import circular_difference
-
-TURN = 2 * math.pi
-
-
-def wrapped(azimuth: float) -> float:
-    """Radians in [0, 2 pi), also where the remainder rounds up to a whole turn."""
-    remainder = azimuth % TURN
-    return remainder if remainder < TURN else 0.0
+from service.doa.peaks import circular_difference, wrapped
 
 
 @dataclass(slots=True)

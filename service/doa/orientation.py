@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from service.doa.peaks import wrapped
 from service.doa.types import FloatArray
 
 WIRE_GRID = 360
@@ -31,7 +32,7 @@ class Orientation:
 
     def on_robot(self, azimuth: float) -> float:
         """An azimuth of the array's frame in the robot's, in [0, 2 pi)."""
-        return (azimuth + self.yaw) % (2 * math.pi)
+        return wrapped(azimuth + self.yaw)
 
     def excludes(self, azimuth: float) -> bool:
         """Whether an azimuth of the array's frame lies in an excluded sector."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from service.doa.types import FloatArray
+
+TURN = 2 * math.pi
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +53,7 @@ def find_peaks(
     for index in order:
         if len(kept) == max_peaks:
             break
-        azimuth = float((index + parabolic_offset(values, index)) * step % (2 * np.pi))
+        azimuth = wrapped((index + parabolic_offset(values, index)) * step)
         if all(abs(circular_difference(azimuth, peak.azimuth)) >= min_separation for peak in kept):
             kept.append(Peak(azimuth, values[index]))
     return kept
@@ -68,6 +71,12 @@ def parabolic_offset(spectrum: Sequence[float], index: int) -> float:
     if not curvature > 0:
         return 0.0
     return min(max(0.5 * (before - after) / curvature, -0.5), 0.5)
+
+
+def wrapped(azimuth: float) -> float:
+    """Radians in [0, 2 pi), also where the remainder rounds up to a whole turn."""
+    remainder = azimuth % TURN
+    return remainder if remainder < TURN else 0.0
 
 
 def circular_difference(first: float, second: float) -> float:

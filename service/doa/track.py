@@ -19,7 +19,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from service.doa.kalman import AzimuthFilter, wrapped
+from service.doa.kalman import AzimuthFilter
+from service.doa.peaks import wrapped
 
 
 @dataclass(frozen=True, slots=True)

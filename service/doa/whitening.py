@@ -140,7 +140,9 @@ class Whitening:
         mean = np.einsum("fnn->f", covariance).real / microphones
         # Bins without any noise, such as above the edge of a low-pass filter, stay as they are.
         loaded = np.maximum(loading * mean, np.finfo(np.float32).tiny)
-        values, vectors = np.linalg.eigh(covariance + loaded[:, None, None] * np.eye(microphones))
+        values, vectors = np.linalg.eigh(covariance)
+        # Rounding leaves small negative ones, relative to the largest bin's.
+        values = np.maximum(values, 0) + loaded[:, None]
         gain = np.sqrt(values[:, :1] / values)  # (F, N), at most 1
         matrices = (vectors * gain[:, None, :]) @ np.conj(np.swapaxes(vectors, -1, -2))
         return cls(matrices.astype(np.complex64))

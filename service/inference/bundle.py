@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import io
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from pydantic import ValidationError
+from pydantic_core import from_json
 
 from neuralmusic.errors import BundleCorrupt, BundleIncompatible, BundleNotFound
 from service.doa.array import MicrophoneArray
@@ -18,6 +17,7 @@ from service.doa.stft import Stft
 from service.doa.types import FloatArray
 from service.inference.engine import Engine
 from service.inference.manifest import SCHEMA_VERSION, Graph, Manifest
+from service.inference.npz import read_npz
 from service.inference.results import ModelIdentity
 
 MANIFEST = "bundle.json"
@@ -156,9 +156,10 @@ def read_manifest(folder: Path) -> tuple[Manifest, str]:
     path = folder / MANIFEST
     if not path.is_file():
         raise BundleNotFound(f"{folder} holds no {MANIFEST}: name the folder of a model bundle")
-    content = path.read_bytes()
+    content = _content(path)
     try:
-        fields = json.loads(content)
+        # Neither NaN nor half a surrogate pair: answers repeat what is in here.
+        fields = from_json(content, allow_inf_nan=False)
     except ValueError as error:
         raise BundleCorrupt(f"{path} is not JSON: {error}") from error
     found = fields.get("schema_version") if isinstance(fields, dict) else None
@@ -187,6 +188,14 @@ def _verified(folder: Path, name: str, expected: str | None) -> bytes:
     path = folder / name
     if expected is None or not path.is_file():
         raise BundleCorrupt(f"{folder} lacks {name}: copy the whole bundle again")
+    content = _content(path)
+    if hashlib.sha256(content).hexdigest() != expected:
+        raise BundleCorrupt(f"{path} differs from its hash in {MANIFEST}: copy the bundle again")
+    return content
+
+
+def _content(path: Path) -> bytes:
+    """Of a file that is not too large."""
     try:
         with path.open("rb") as file:
             content = file.read(MAX_FILE_BYTES + 1)
@@ -194,8 +203,6 @@ def _verified(folder: Path, name: str, expected: str | None) -> bytes:
         raise BundleCorrupt(f"{path} cannot be read: {error}") from error
     if len(content) > MAX_FILE_BYTES:
         raise BundleCorrupt(f"{path} is larger than {MAX_FILE_BYTES} bytes")
-    if hashlib.sha256(content).hexdigest() != expected:
-        raise BundleCorrupt(f"{path} differs from its hash in {MANIFEST}: copy the bundle again")
     return content
 
 
@@ -217,9 +224,8 @@ def _arrays(files: BundleFiles, name: str) -> dict[str, FloatArray]:
 def read_arrays(content: bytes, path: Path) -> dict[str, FloatArray]:
     """The arrays of a bundle's npz file by name, without pickle; raises BundleCorrupt."""
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except (OSError, ValueError) as error:
+        return read_npz(content, most_bytes=MAX_FILE_BYTES, compressed=True)
+    except ValueError as error:
         raise BundleCorrupt(f"{path} cannot be read: {error}") from error
 
 

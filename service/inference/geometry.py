@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from neuralmusic.errors import ChannelMismatch, InvalidGeometry, InvalidOption
+from neuralmusic.protocol.names import MAX_LABEL, is_label
 from service.doa.array import MAX_MICROPHONES, MicrophoneArray, validate_channel_map
 from service.doa.presets import preset, raw_channels
 from service.inference.results import AudioWarning
 
-MAX_NAME = 64
 FORM = '{"positions_m": [[x, y, z], ...]} in metres'
 
 
@@ -33,7 +33,7 @@ def read_array(text: str) -> MicrophoneArray:
     unknown = sorted(set(fields) - {"name", "positions_m"})
     if unknown:
         raise InvalidOption(
-            f"array has no field {unknown[0][:MAX_NAME]!r}: its fields are positions_m and name"
+            f"array has no field {unknown[0][:MAX_LABEL]!r}: its fields are positions_m and name"
         )
     return given_array(fields.get("name"), fields.get("positions_m"))
 
@@ -50,12 +50,9 @@ def given_array(name: Any, positions: Any) -> MicrophoneArray:
     InvalidOption
         If the name is invalid, or neither is given.
     """
-    # Surrogates, which JSON can spell and UTF-8 cannot, are not printable either.
-    if name is not None and not (
-        isinstance(name, str) and 0 < len(name) <= MAX_NAME and name.isprintable()
-    ):
+    if name is not None and not is_label(name):
         raise InvalidOption(
-            f"the array's name must be text of at most {MAX_NAME} printable characters"
+            f"the array's name must be text of at most {MAX_LABEL} printable characters"
         )
     if positions is not None:
         return MicrophoneArray(name or "custom", _positions(positions), "the request")

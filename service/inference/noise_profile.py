@@ -9,32 +9,32 @@ is compared with the size of its member, so that no more is allocated than the f
 from __future__ import annotations
 
 import io
-import zipfile
-import zlib
 from collections.abc import Mapping
-from math import prod
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.lib import format as npy
 
 from neuralmusic.errors import InvalidGeometry, NoiseProfileInvalid
+from neuralmusic.protocol.client_messages import MAX_SAMPLE_RATE, MIN_SAMPLE_RATE
+from neuralmusic.protocol.names import MAX_LABEL, is_label
 from service.doa.array import MAX_MICROPHONES, MicrophoneArray
 from service.doa.stft import Stft
 from service.doa.whitening import NoiseCovariance
-from service.inference.geometry import MAX_NAME
+from service.inference.manifest import MAX_FFT
+from service.inference.npz import read_npz
 
 FORMAT = 1
-MAX_FFT = 4096
 MAX_BYTES = 8 * (MAX_FFT // 2 + 1) * MAX_MICROPHONES**2 + 2**16
 """Most bytes of a file: covariances of the longest frames and the most microphones, and room for
 the rest; profiles of four microphones have 34 kB"""
+MAX_SECONDS = 1e6
+"""Most seconds that a profile may claim; a week has fewer"""
 HERMITIAN = 1e-4
 """Largest asymmetry against the largest value; float32 leaves less"""
 MEMBERS = {
     "format": (np.dtype(np.int64), 0),
-    "name": (np.dtype(f"<U{MAX_NAME}"), 0),
+    "name": (np.dtype(f"<U{MAX_LABEL}"), 0),
     "positions": (np.dtype(np.float64), 2),
     "sample_rate": (np.dtype(np.int64), 0),
     "n_fft": (np.dtype(np.int64), 0),
@@ -48,7 +48,7 @@ WHAT = "is not a noise profile of this version: write one with neuralmusic noise
 
 def save_noise(noise: NoiseCovariance, file: Path | BinaryIO) -> None:
     """Write a profile; the same profile gives the same bytes."""
-    name = noise.array.name[:MAX_NAME]
+    name = noise.array.name[:MAX_LABEL]
     stft = noise.stft
     values = (FORMAT, name, noise.array.positions, stft.sample_rate, stft.n_fft, stft.hop)
     fields = dict(zip(MEMBERS, (*values, noise.seconds, noise.covariance), strict=True))
@@ -82,30 +82,12 @@ def load_noise(file: Path | BinaryIO) -> NoiseCovariance:
     if len(content) > MAX_BYTES:
         raise NoiseProfileInvalid(f"the file is larger than {MAX_BYTES} bytes: it {WHAT}")
     try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            fields = {name: _member(archive, name) for name in MEMBERS}
-    # An encrypted member raises RuntimeError.
-    except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, RuntimeError) as error:
+        fields = read_npz(content, MEMBERS, most_bytes=MAX_BYTES)
+    except ValueError as error:
         raise NoiseProfileInvalid(f"the file {WHAT}") from error
+    if any((a.dtype, a.ndim) != MEMBERS[name] for name, a in fields.items()):
+        raise NoiseProfileInvalid(f"the file {WHAT}")
     return _profile(fields)
-
-
-def _member(archive: zipfile.ZipFile, name: str) -> Any:
-    """One array; raises ValueError unless it is exactly as large as its header says."""
-    dtype, axes = MEMBERS[name]
-    entry = archive.getinfo(f"{name}.npy")
-    if entry.compress_type != zipfile.ZIP_STORED or entry.file_size > MAX_BYTES:
-        raise ValueError(f"{name} is compressed or too large")
-    data = io.BytesIO(archive.read(entry))
-    if npy.read_magic(data) != (1, 0):
-        raise ValueError(f"{name} has another header")
-    shape, fortran, found = npy.read_array_header_1_0(data)
-    rest = data.read()
-    if found != dtype or len(shape) != axes or fortran:
-        raise ValueError(f"{name} has another type")
-    if len(rest) != prod(shape) * dtype.itemsize:
-        raise ValueError(f"{name} has another size")
-    return np.frombuffer(rest, dtype).reshape(shape)
 
 
 def _profile(fields: Mapping[str, Any]) -> NoiseCovariance:
@@ -115,10 +97,17 @@ def _profile(fields: Mapping[str, Any]) -> NoiseCovariance:
             f"the profile has format {version}, this version reads {FORMAT}: learn the noise again"
         )
     stft = Stft(*(int(fields[key]) for key in ("sample_rate", "n_fft", "hop")))
-    if not (16 <= stft.n_fft <= MAX_FFT and 0 < stft.hop <= stft.n_fft and stft.sample_rate > 0):
+    if not (
+        16 <= stft.n_fft <= MAX_FFT
+        and 0 < stft.hop <= stft.n_fft
+        and MIN_SAMPLE_RATE <= stft.sample_rate <= MAX_SAMPLE_RATE
+    ):
         raise NoiseProfileInvalid(f"the profile has impossible frames: {stft}")
+    name = str(fields["name"])
+    if not is_label(name):
+        raise NoiseProfileInvalid("the profile's array has no name that can be shown")
     try:
-        array = MicrophoneArray(str(fields["name"]), fields["positions"], "a noise profile")
+        array = MicrophoneArray(name, fields["positions"], "a noise profile")
     except InvalidGeometry as error:
         raise NoiseProfileInvalid(f"the profile's {error.detail}") from error
     covariance = fields["covariance"]
@@ -129,7 +118,7 @@ def _profile(fields: Mapping[str, Any]) -> NoiseCovariance:
             f"{(stft.num_bins, array.num_microphones, array.num_microphones)}"
         )
     seconds = float(fields["seconds"])
-    if not (np.isfinite(seconds) and seconds > 0 and _is_covariance(covariance)):
+    if not (stft.hop / stft.sample_rate <= seconds <= MAX_SECONDS and _is_covariance(covariance)):
         raise NoiseProfileInvalid("the profile holds no valid covariances: learn the noise again")
     return NoiseCovariance(covariance, array, stft, seconds)
 
@@ -138,7 +127,8 @@ def _is_covariance(matrices: Any) -> bool:
     """Whether matrices are finite, Hermitian up to rounding and not negative on the diagonal."""
     if not np.isfinite(matrices).all():
         return False
+    matrices = matrices.astype(np.complex128)  # the largest float32's square is none
     skew = np.abs(matrices - np.conj(np.swapaxes(matrices, -1, -2))).max()
-    least = np.linalg.eigvalsh(matrices.astype(np.complex128)).min()
+    least = np.linalg.eigvalsh(matrices).min()
     scale = np.abs(matrices).max()
     return bool(scale > 0 and skew <= HERMITIAN * scale and least >= -HERMITIAN * scale)

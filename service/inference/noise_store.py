@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 import tempfile
 import threading
 from collections.abc import Iterable
@@ -12,12 +11,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from neuralmusic.errors import ConfigError, InvalidOption, NoiseError, NoiseStoreFull, UnknownNoise
+from neuralmusic.protocol.names import NAME_RULE, is_name
 from service.doa.whitening import NoiseCovariance
 from service.inference.noise_profile import load_noise, save_noise
 
 logger = logging.getLogger(__name__)
 
-NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")
 SUFFIX = ".npz"
 CAPACITY = 256
 MAX_HELD_BYTES = 256 * 2**20
@@ -82,17 +81,14 @@ class NoiseStore:
         Raises
         ------
         InvalidOption
-            If the name is not 1 to 64 letters, digits, dots, underscores and hyphens.
+            If the name is none after ``neuralmusic.protocol.names``.
         NoiseStoreFull
             If there is no room for another profile.
         OSError
             If the folder cannot be written.
         """
-        if not usable_name(name):
-            raise InvalidOption(
-                "a noise profile's name has 1 to 64 letters, digits, dots, underscores and "
-                f"hyphens and begins with a letter or digit, but is {name[:64]!r}"
-            )
+        if not is_name(name):
+            raise InvalidOption(f"a noise profile's name has {NAME_RULE}, but is {name[:64]!r}")
         with self._lock:
             profiles = self._loaded()
             if name not in profiles and len(profiles) >= self._capacity:
@@ -138,11 +134,6 @@ class NoiseStore:
         return self._profiles
 
 
-def usable_name(name: str) -> bool:
-    """Whether a profile may have this name; no name leads out of the folder or hides in it."""
-    return NAME.fullmatch(name) is not None and name[0] not in "._-"
-
-
 def _bytes(profiles: Iterable[StoredNoise]) -> int:
     return sum(stored.noise.covariance.nbytes for stored in profiles)
 
@@ -150,12 +141,13 @@ def _bytes(profiles: Iterable[StoredNoise]) -> int:
 def _read(folder: Path, capacity: int, max_bytes: int) -> dict[str, StoredNoise]:
     """The profiles of a folder; other files are ignored."""
     profiles: dict[str, StoredNoise] = {}
-    paths = sorted(path for path in folder.glob(f"*{SUFFIX}") if usable_name(path.stem))
-    for path in paths:
+    for path in sorted(path for path in folder.glob(f"*{SUFFIX}") if is_name(path.stem)):
         if len(profiles) >= capacity or _bytes(profiles.values()) >= max_bytes:
             logger.warning("%s exceeds the limit of noise profiles: the rest is left out", folder)
             break
         try:
+            if not path.is_file():  # a pipe would be read for ever
+                continue
             created = datetime.fromtimestamp(path.stat().st_mtime, UTC)
             profiles[path.stem] = StoredNoise(path.stem, load_noise(path), created)
         except NoiseError as error:

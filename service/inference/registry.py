@@ -10,6 +10,7 @@ import numpy as np
 from neuralmusic.errors import (
     BundleCorrupt,
     BundleNotFound,
+    DoaError,
     GeometryMismatch,
     SelfTestFailed,
     UnknownModel,
@@ -70,7 +71,7 @@ class BundleRegistry:
         bundles = [load_bundle(folder, threads=threads) for folder in found]
         bundles += by_error([load_bundle(folder, threads=threads) for folder in embedded])
         for bundle in bundles:
-            self_test(bundle)
+            _check(bundle)
         registry = cls(bundles)
         if default is None:
             return registry
@@ -152,6 +153,19 @@ def bundle_folders(folder: Path) -> list[Path]:
     if (folder / MANIFEST).is_file():
         return [folder]
     return sorted(path.parent for path in folder.glob(f"*/{MANIFEST}"))
+
+
+def _check(bundle: Bundle) -> None:
+    """``self_test``, whatever networks and arrays that fit nothing raise in it."""
+    try:
+        self_test(bundle)
+    except DoaError:
+        raise
+    except Exception as error:
+        raise SelfTestFailed(
+            f"bundle {bundle.manifest.name}: the golden input cannot be localized ({error!r}): "
+            "its networks, arrays and manifest do not fit each other; export the model again"
+        ) from error
 
 
 def self_test(bundle: Bundle) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from service.doa.peaks import wrapped
 from service.doa.types import FloatArray
 
 MAX_SOURCES = 4
@@ -19,6 +20,15 @@ class Source:
     """0 to 1: the chance that a source is within 10 degrees of there"""
     id: int | None = None
     """Id of the source's track; None before there is one"""
+
+    def __post_init__(self) -> None:
+        """Bring into range what rounding took out of it: a softmax's sum of 1.0000001, say.
+
+        What is no number is no chance.
+        """
+        object.__setattr__(self, "azimuth", wrapped(self.azimuth))
+        chance = self.confidence if self.confidence > 0 else 0.0
+        object.__setattr__(self, "confidence", min(chance, 1.0))
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from service.doa.array import MicrophoneArray
 from service.doa.covariance import chosen_and_sum, diagonal_loading, weighted_covariance
 from service.doa.evd import principal_eigenvector
 from service.doa.features import coherences, unit_vectors_and_power, window_features
+from service.doa.fusion import sigmoid
 from service.doa.rank_one import RankOneMusic, shared_music
 from service.doa.steering import azimuth_grid, resolution, steering_vectors
 from service.doa.stft import Stft
@@ -303,8 +304,7 @@ class SourceCounter:
     ) -> WindowEstimate:
         """The sources among one window's candidates, the most confident first."""
         count_logits, confidence_logits = self._network.run([window.descriptors[None]])
-        # Windows unlike any in training, such as digital silence, give logits in the hundreds.
-        confidence = 1 / (1 + np.exp(-np.clip(confidence_logits[0], -30, 30)))
+        confidence = sigmoid(confidence_logits[0])
         count, least = num_sources, 0.0
         if count is None:
             count, least = min(int(np.argmax(count_logits[0])), max_sources), LEAST_CONFIDENCE

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from service.doa.peaks import find_peaks
+from service.doa.peaks import find_peaks, wrapped
 from service.doa.scoring import circular_error
 from service.doa.steering import azimuth_grid
 from service.doa.types import FloatArray, IntArray
@@ -42,9 +42,7 @@ def summarise(windows: Iterable[WindowResult]) -> list[SummarySource]:
         if members.any() and share >= LEAST_SHARE:
             mean = np.angle(np.sum((confidence[members] + 1e-3) * np.exp(1j * azimuth[members])))
             sources.append(
-                SummarySource(
-                    float(mean % (2 * np.pi)), float(confidence[members].mean()), float(share)
-                )
+                SummarySource(wrapped(float(mean)), float(confidence[members].mean()), float(share))
             )
     return sorted(sources, key=lambda source: -source.share)
 

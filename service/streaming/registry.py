@@ -18,6 +18,7 @@ KEPT = 16
 """Most ended sessions whose results can still be exported"""
 
 Watcher = Callable[[ServerMessage], None]
+Act = Callable[[Callable[[], None]], None]
 
 
 @dataclass(slots=True, eq=False)
@@ -28,8 +29,8 @@ class SessionEntry:
     started_at: datetime
     session: Session
     reporter: Reporter
-    pump: Callable[[], None]
-    """Lets the session's owner act on a change made from outside"""
+    act: Act
+    """Has the session take a step; what that raises is the end of this session alone"""
     ready: Ready | None = None
     watchers: list[Watcher] = field(default_factory=list)
 
@@ -86,8 +87,7 @@ class SessionRegistry:
     def drain(self) -> None:
         """End all sessions gracefully."""
         for entry in self.running_entries():
-            entry.session.drain()
-            entry.pump()
+            entry.act(entry.session.drain)
 
     def check(self) -> None:
         """Raise Overloaded where one more session would be refused."""
@@ -99,9 +99,9 @@ class SessionRegistry:
         """An id that cannot be guessed: whoever knows it can watch the session."""
         return secrets.token_urlsafe(9)
 
-    def add(self, session: Session, reporter: Reporter, pump: Callable[[], None]) -> SessionEntry:
+    def add(self, session: Session, reporter: Reporter, act: Act) -> SessionEntry:
         """Add a session."""
-        entry = SessionEntry(session.id, datetime.now(UTC), session, reporter, pump)
+        entry = SessionEntry(session.id, datetime.now(UTC), session, reporter, act)
         self._running[session.id] = entry
         self.empty.clear()
         return entry

@@ -160,14 +160,14 @@ class Session:
     def fail(self, error: DoaError) -> None:
         """End the session with an error."""
         if self.state != "closed":
-            self._report.error(error)
             self._close(CloseCode(error.close_code))
+            self._report.error(error)
 
     def abandon(self) -> None:
         """End the session of a client that is gone."""
         if self.state != "closed":
-            self._report.closing("vanished", "the client is gone", CloseCode.DONE)  # for watchers
             self._close(CloseCode.DONE)
+            self._report.closing("vanished", "the client is gone", CloseCode.DONE)  # for watchers
 
     @property
     def wants_audio(self) -> bool:

@@ -8,6 +8,8 @@ import sys
 
 from service.workers.link import worker_environment
 
+READY_S = 30.0
+"""Seconds that a worker has to come up before it is killed"""
 END_S = 5.0
 """Seconds for a worker to end before it is killed"""
 
@@ -27,15 +29,24 @@ class WorkerProcess:
             )
         self.pid = self._process.pid
 
+    @property
+    def alive(self) -> bool:
+        """False once the process has ended."""
+        return self._process.poll() is None
+
     def kill(self) -> None:
         """Kill the process; its reader notices by the socket."""
         self._process.kill()
 
-    def end(self) -> int:
-        """Close the socket, wait for the process, return its exit status; negative for a signal."""
+    def end(self) -> int | None:
+        """Close the socket, wait for the process; its exit status, negative for a signal.
+
+        None where the system cannot end it, as while it reads a file system that hangs.
+        """
         self.connection.close()
-        try:
-            return self._process.wait(END_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            return self._process.wait()
+        for _ in range(2):
+            try:
+                return self._process.wait(END_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+        return None

@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Coroutine
+from contextlib import suppress
 from typing import Any, BinaryIO
 
 import anyio
@@ -18,7 +19,7 @@ from service.lifecycle import Lifecycle, Phase
 from service.observability.metrics import Metrics
 from service.recordings.job import HeaderRead, Localized, Outcome, RecordingJob, Refused, Report
 from service.workers.link import Link, Setup
-from service.workers.process import WorkerProcess
+from service.workers.process import READY_S, WorkerProcess
 
 log = logging.getLogger(__name__)
 
@@ -40,15 +41,26 @@ class RecordingWorker:
         self._process = WorkerProcess("service.workers.recording")
         self._link = Link(self._process.connection)
         self.pid = self._process.pid
+        self.ready = False
+
+    @property
+    def alive(self) -> bool:
+        """False once its process has ended."""
+        return self._process.alive
 
     def wait_ready(self) -> None:
-        """Set the worker up, or raise WorkerLost."""
+        """Set the worker up; WorkerLost where it does not come up in time."""
         try:
+            self._process.connection.settimeout(READY_S)
             self._link.send(self.setup)
             self._link.receive()
             self._process.connection.settimeout(self._stall_s)
         except (EOFError, OSError) as error:
-            raise self._lost(error) from error
+            self._lost(error)
+            raise WorkerLost(
+                "a process that localizes recordings did not come up: try again later"
+            ) from error
+        self.ready = True
 
     def localize(
         self, job: RecordingJob, file: BinaryIO, check: Callable[[Report], None]
@@ -110,7 +122,7 @@ class RecordingWorker:
                 f"localizing the recording made no progress for {self._stall_s:g} s and was "
                 "stopped: send it as WAV or FLAC, or in pieces"
             )
-        if -status in CRASHES:
+        if status is not None and -status in CRASHES:
             return DecodingFailed(
                 "the decoder crashed on this recording: re-encode it as WAV or FLAC"
             )
@@ -186,8 +198,9 @@ class RecordingWorkers:
 
     def prepare(self, setup: Setup) -> RecordingWorker:
         """Start a worker with a new setup, for ``renew``; raises WorkerLost if that fails."""
-        worker = RecordingWorker(setup, self._stall_s)
-        worker.wait_ready()
+        worker = self._started(setup)
+        with self._lock:
+            self._busy.discard(worker)
         return worker
 
     def renew(self, prepared: RecordingWorker) -> None:
@@ -197,6 +210,24 @@ class RecordingWorkers:
             idle, self._idle = self._idle, [prepared]
         for worker in idle:
             worker.end()
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is a process that could take a recording, now or after another one."""
+        with self._lock:
+            return any(each.ready and each.alive for each in (*self._idle, *self._busy))
+
+    @property
+    def lacking(self) -> bool:
+        """Whether an idle process has ended, or there is none at all."""
+        with self._lock:
+            return not (self._idle or self._busy) or not all(each.alive for each in self._idle)
+
+    def tend(self) -> None:
+        """Replace idle processes that have ended by one; blocks until it is ready."""
+        with suppress(WorkerLost):  # it was logged and counted
+            if not self._lifecycle.reached(Phase.ENDING):
+                self._give_back(self._take())
 
     def stop(self) -> None:
         """End all processes; the lifecycle must be ending."""
@@ -236,12 +267,24 @@ class RecordingWorkers:
     def _take(self) -> RecordingWorker:
         """An idle worker, or a new one where none is idle."""
         with self._lock:
+            ended = [each for each in self._idle if not each.alive]
+            self._idle = [each for each in self._idle if each.alive]
             worker = self._idle.pop() if self._idle else None
             if worker is not None:
                 self._busy.add(worker)
-                return worker
-            assert self.setup is not None
-            worker = RecordingWorker(self.setup, self._stall_s)
+        for each in ended:
+            log.error("recording worker %s ended while it was idle", each.pid)
+            self._metrics.worker_lost("recording")
+            each.end()
+        if worker is not None:
+            return worker
+        assert self.setup is not None
+        return self._started(self.setup)
+
+    def _started(self, setup: Setup) -> RecordingWorker:
+        """A new worker that is ready; busy, so that ``stop`` ends one that does not come up."""
+        with self._lock:
+            worker = RecordingWorker(setup, self._stall_s)
             self._busy.add(worker)
         try:
             worker.wait_ready()

@@ -12,7 +12,7 @@ from neuralmusic.errors import WorkerLost
 from service.observability.metrics import Metrics
 from service.streaming.work import Answer, Check, Failed, Outcome, Work
 from service.workers.link import Setup, Unpacker, packed
-from service.workers.process import WorkerProcess
+from service.workers.process import READY_S, WorkerProcess
 
 log = logging.getLogger(__name__)
 
@@ -73,6 +73,8 @@ class StreamWorker:
         self._reading: asyncio.Task[None] | None = None
         self._transport: asyncio.Transport | None = None
         self._unsent: list[bytes] = []
+        self._deadline: asyncio.TimerHandle | None = None
+        """Timer that ends a start that takes too long"""
         self._answered = 0.0
         self.sessions = 0
         """Sessions computed here"""
@@ -84,19 +86,20 @@ class StreamWorker:
     def start(self) -> None:
         """Start the process; jobs may be submitted at once."""
         self._process = WorkerProcess("service.workers.stream")
+        self._deadline = self._loop.call_later(READY_S, self._give_up, READY_S)
         self._unsent.insert(0, packed(self._setup))
         self._reading = self._loop.create_task(self._attend(self._process))
 
     def submit(self, work: Work, done: Done | None = None) -> None:
         """Submit a job; ``done`` is called with its outcome."""
-        number = next(self._numbers)
         if self.lost:
             if done is not None:
                 self._loop.call_soon(done, Failed(worker_lost()))
             return
+        number = next(self._numbers)
+        message = packed((number, work))
         if done is not None:
             self._waiting[number] = PendingWork(done, self._loop.time(), isinstance(work, Check))
-        message = packed((number, work))
         if self._transport is None:
             self._unsent.append(message)
         else:
@@ -111,13 +114,21 @@ class StreamWorker:
         """Kill a process that has stalled: its streams then end with an error, not in silence."""
         due = (each.since for each in self._waiting.values() if not each.patient)
         oldest = max(min(due, default=now), self._answered)
-        if self.ready.is_set() and now - oldest > STALL_S and self._process is not None:
-            log.error("stream worker %s made no progress for %.0f s: killed", self.pid, STALL_S)
-            self._process.kill()
+        if self.ready.is_set() and now - oldest > STALL_S:
+            self._give_up(STALL_S)
+
+    def _give_up(self, seconds: float) -> None:
+        """Kill it; whoever waits for it is told, even where the system lets it hang on."""
+        assert self._process is not None
+        log.error("stream worker %s made no progress for %.0f s: killed", self.pid, seconds)
+        self._process.kill()
+        if self._transport is not None:
+            self._transport.abort()
 
     async def stop(self) -> None:
         """End the process."""
         self.lost = True
+        self._come_up()
         if self._transport is not None:
             # A close would wait until all is sent, to a worker that waits until all is read.
             self._transport.abort()
@@ -141,7 +152,7 @@ class StreamWorker:
         number, outcome, seconds = answer
         self._answered = self._loop.time()
         if number == 0:
-            self.ready.set()
+            self._come_up()
             return
         waiting = self._waiting.pop(number, None)
         if waiting is None:
@@ -151,13 +162,19 @@ class StreamWorker:
             self._metrics.worked("stream", queued, seconds)
         waiting.done(outcome)
 
+    def _come_up(self) -> None:
+        """Its start is over, one way or the other."""
+        if self._deadline is not None:
+            self._deadline.cancel()
+        self.ready.set()
+
     def _lose(self) -> None:
         if self.lost:
             return  # asked to end
         log.error("stream worker %s ended: its streams close, clients reconnect", self.pid)
         self.lost = True
         self._metrics.worker_lost("stream")
-        self.ready.set()
+        self._come_up()
         all_waiting, self._waiting = self._waiting, {}
         for waiting in all_waiting.values():
             waiting.done(Failed(worker_lost()))
@@ -169,7 +186,7 @@ def worker_lost() -> WorkerLost:
 
 
 class StreamWorkers:
-    """The workers of one service; a lost one is replaced when the next stream comes.
+    """The workers of one service; a lost one is replaced when ``tend`` or the next stream comes.
 
     Parameters
     ----------
@@ -192,8 +209,7 @@ class StreamWorkers:
 
         Another worker is started where all have enough.
         """
-        self._workers = [worker for worker in self._workers if not worker.lost]
-        current = [worker for worker in self._workers if not worker.retired]
+        current = self._current()
         if len(current) < self._most and all(each.sessions >= ENOUGH for each in current):
             assert self.setup is not None
             current.append(self._started(self.setup))
@@ -217,6 +233,19 @@ class StreamWorkers:
         worker = self.assign()
         await worker.ready.wait()
         self.release(worker)
+        if worker.lost:
+            raise WorkerLost("a worker process for streams ended as it started: its log says why")
+
+    @property
+    def ready(self) -> bool:
+        """Whether one takes sessions now."""
+        return any(each.ready.is_set() for each in self._current())
+
+    def tend(self) -> None:
+        """Have one that takes sessions."""
+        if not self._current():
+            assert self.setup is not None
+            self._started(self.setup)
 
     async def renew(self, setup: Setup) -> None:
         """Send new sessions to workers with a new setup; running ones stay where they are.
@@ -244,6 +273,11 @@ class StreamWorkers:
         """End all workers."""
         await asyncio.gather(*(worker.stop() for worker in self._workers), *self._ending)
         self._workers.clear()
+
+    def _current(self) -> list[StreamWorker]:
+        """Those that take sessions, or will; lost ones are forgotten."""
+        self._workers = [worker for worker in self._workers if not worker.lost]
+        return [worker for worker in self._workers if not worker.retired]
 
     def _started(self, setup: Setup) -> StreamWorker:
         worker = StreamWorker(setup, self._metrics)

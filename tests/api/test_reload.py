@@ -200,6 +200,28 @@ sys.exit(main(["serve", "--port", "0", "--workers", "1", "--models", {str(bundle
     assert process.returncode in (0, -signal.SIGTERM)
 
 
+def test_lost_workers_are_replaced_before_anybody_meets_them(
+    service: RunningService, sounds: Any
+) -> None:
+    recording_pids = service.state.recording_workers.pids
+    for pid in (*service.worker_pids, *recording_pids):
+        os.kill(pid, signal.SIGKILL)
+    for status, code in ((503, "not_ready"), (200, None)):
+        while (answer := httpx2.get(f"{service.url}/readyz")).status_code != status:
+            pass
+        assert answer.json().get("code") == code
+    assert not set(recording_pids) & set(service.state.recording_workers.pids)
+    assert localized_with_default(service, sounds.wav()) == 200
+
+
+def localized_with_default(service: RunningService, body: bytes) -> int:
+    params, headers = {"array": ARRAY}, {"Content-Type": "audio/wav"}
+    url = f"{service.url}/localize"
+    return httpx2.post(
+        url, params=params, content=body, headers=headers, timeout=PATIENCE
+    ).status_code
+
+
 def test_a_stream_worker_that_stands_still_is_killed(
     service: RunningService, monkeypatch: pytest.MonkeyPatch
 ) -> None:

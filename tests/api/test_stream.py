@@ -23,6 +23,7 @@ from service.api import stream as stream_api
 from service.app import create_app
 from service.inference.registry import BundleRegistry
 from service.settings import Settings
+from service.streaming.session import Session
 
 
 @pytest.fixture(scope="module")
@@ -156,6 +157,43 @@ def test_others_do_not_notice_one_who_floods_one_who_vanishes_and_one_who_never_
 
     results = asyncio.run(run())
     assert [round(r["t_end"], 3) for r in results] == pytest.approx(np.arange(1, 11) / 10)
+    settle(service)
+
+
+@pytest.mark.parametrize(
+    "step", ["receive_text", "receive_bytes", "take_work", "work_done", "tick"]
+)
+def test_a_session_whose_own_code_raises_is_told_and_ends_alone(
+    service: RunningService,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    step: str,
+) -> None:
+    sound = getattr(Session, step)
+
+    def broken(session: Session, *args: Any) -> Any:
+        if session.start is not None and session.start.client == "broken":
+            raise ArithmeticError("a defect")
+        return sound(session, *args)
+
+    async def run() -> tuple[dict[str, Any], int | None, str, dict[str, Any]]:
+        async with opened(service) as other, opened(service) as socket:
+            await started(other)
+            ident = (await started(socket, client="broken"))["session"]
+            monkeypatch.setattr(Session, step, broken)
+            await socket.send(SECOND[:65_536])
+            await socket.send('{"type":"ping"}')
+            last, close_code = await end(socket)
+            await other.send(SECOND[:65_536])
+            return last, close_code, ident, await until(other, "result")
+
+    monkeypatch.setattr(stream_api, "TICK_S", 0.05)
+    last, close_code, ident, result = asyncio.run(run())
+    assert (last["type"], last["code"], close_code) == ("error", "internal", 1011)
+    assert "defect" not in last["detail"]
+    assert result["t_end"] == pytest.approx(0.1)
+    (line,) = (record for record in caplog.records if record.exc_info)
+    assert vars(line)["session_id"] == ident
     settle(service)
 
 

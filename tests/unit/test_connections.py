@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 from typing import Any
 
+import pytest
 import uvicorn
 from uvicorn.server import ServerState
 from websockets.client import ClientProtocol
 from websockets.uri import parse_uri
 
-from service.connections import MESSAGES_HELD, StreamProtocol
+from neuralmusic.errors import ConfigError
+from service.connections import MESSAGES_HELD, StreamProtocol, check_address
 
 MESSAGES = [bytes([number]) for number in range(3 * MESSAGES_HELD)]
 
@@ -163,3 +166,14 @@ def test_the_service_s_end_waits_for_the_answer_to_a_close() -> None:
     """Closing the socket with unread audio would discard the last messages."""
     assert not asyncio.run(closed_by_shutdown(answers=False))
     assert asyncio.run(closed_by_shutdown(answers=True))
+
+
+def test_a_taken_port_is_known_before_anything_is_loaded() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(ConfigError, match=f"port {port} of 127.0.0.1 .*--port"):
+            check_address("127.0.0.1", port)
+    check_address("127.0.0.1", port)
+    check_address("localhost", 0)
+    with pytest.raises(ConfigError, match=r"host nowhere\.invalid"):
+        check_address("nowhere.invalid", port)

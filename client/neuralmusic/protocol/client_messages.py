@@ -9,13 +9,14 @@ from pydantic import Field, TypeAdapter, field_validator
 from neuralmusic.protocol.framing import SAMPLE_BYTES, Encoding, HeaderKind
 from neuralmusic.protocol.message import Message, message_type, read_message
 from neuralmusic.protocol.methods import Method
+from neuralmusic.protocol.names import MAX_LABEL, NAME
 
 Position = tuple[float, float, float]
 Sector = tuple[float, float]
 Include = Literal["spectrum"]
 OutputFormat = Literal["doa", "odas"]
 MIN_INTERVAL_MS, MAX_INTERVAL_MS = 20, 1000
-CLIENT_NAME = r"^[A-Za-z0-9._-]{1,64}$"
+MIN_SAMPLE_RATE, MAX_SAMPLE_RATE = 4_000, 384_000
 
 
 class AudioFormat(Message):
@@ -23,7 +24,7 @@ class AudioFormat(Message):
 
     encoding: Encoding
     """Little-endian samples, sample frames interleaved"""
-    sample_rate: Annotated[int, Field(ge=4_000, le=384_000)]
+    sample_rate: Annotated[int, Field(ge=MIN_SAMPLE_RATE, le=MAX_SAMPLE_RATE)]
     """Hertz at which the device records; the service resamples"""
     channels: Annotated[int, Field(ge=1, le=64)]
     """Channels in every sample frame, raw microphones and all others"""
@@ -40,7 +41,7 @@ class AudioFormat(Message):
 class ArrayChoice(Message):
     """A preset by its name, or positions."""
 
-    name: Optional[Annotated[str, Field(min_length=1, max_length=64)]] = None
+    name: Optional[Annotated[str, Field(min_length=1, max_length=MAX_LABEL)]] = None
     """A preset's name (`GET /arrays`), or any name beside `positions_m`"""
     positions_m: Optional[Annotated[list[Position], Field(min_length=2, max_length=32)]] = None
     """Metres, `[x, y, z]` per microphone: x forward, y left, z up"""
@@ -100,7 +101,7 @@ class Start(Message):
     overflow: Literal["drop_oldest", "block"] = "drop_oldest"
     """What happens to audio that comes faster than it is localized: with `drop_oldest` results
     describe the present and a warning tells what was dropped; `block` loses nothing, for files"""
-    client: Optional[Annotated[str, Field(pattern=CLIENT_NAME)]] = None
+    client: Optional[Annotated[str, Field(pattern=NAME)]] = None
     """The robot's name, under which its noise calibration is stored"""
     noise: Literal["kept", "none"] = "kept"
     """`kept` whitens with the noise calibration stored for this client, if there is one"""

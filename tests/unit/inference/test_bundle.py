@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
+import tracemalloc
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,6 +24,7 @@ from neuralmusic.errors import (
 from service.doa.presets import preset
 from service.inference.bundle import FILES, Bundle, file_sha256, load_bundle
 from service.inference.engine import Engine
+from service.inference.npz import read_npz
 from service.inference.registry import (
     EMBEDDED_MODELS,
     BundleRegistry,
@@ -95,6 +99,78 @@ def test_a_manifest_that_is_no_json(folder: Path) -> None:
     (folder / "bundle.json").write_text("{")
     with pytest.raises(BundleCorrupt, match="not JSON"):
         load_bundle(folder)
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        lambda fields, value: fields.update(version=value),
+        lambda fields, value: fields.update(description=value),
+        lambda fields, value: fields["licences"].append(value),
+        lambda fields, value: fields["scores"].update({"cell": value + "\ud800"}),
+        lambda fields, value: fields["scores"].update({"cell": float("nan")}),
+        lambda fields, value: fields["stft"].update(n_fft=2**40),
+        lambda fields, value: fields.update(grid_size=2**40),
+    ],
+)
+def test_a_manifest_that_answers_could_not_repeat(
+    folder: Path, place: Callable[[dict, str], object]
+) -> None:
+    edit(folder, lambda fields: place(fields, "1.0\x1b[2J"))
+    with pytest.raises(BundleCorrupt):
+        load_bundle(folder)
+
+
+def test_an_error_shows_a_folder_in_one_line(tmp_path: Path) -> None:
+    """Names of files need be no text."""
+    with pytest.raises(BundleNotFound) as caught:
+        load_bundle(tmp_path / "mo\ndels\udcff")
+    assert caught.value.detail.isprintable()
+    caught.value.detail.encode()
+
+
+def npz(shape: tuple[int, ...], data: bytes) -> bytes:
+    """A file of one compressed array of 32-bit floats."""
+    file = io.BytesIO()
+    with (
+        zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("floor.npy", "w") as member,
+    ):
+        header = {"descr": "<f4", "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(member, header)
+        member.write(data)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("content", [npz((2**48,), b""), npz((-1, -1), bytes(4)), b"PK", b""])
+def test_arrays_that_are_not_what_they_say(folder: Path, content: bytes) -> None:
+    (folder / "fusion.npz").write_bytes(content)
+    digest = file_sha256(folder / "fusion.npz")
+    edit(folder, lambda fields: fields["files"].update({"fusion.npz": digest}))
+    with pytest.raises(BundleCorrupt, match=r"fusion\.npz cannot be read"):
+        load_bundle(folder)
+
+
+def test_an_array_that_grows_a_thousandfold_is_not_read() -> None:
+    content = npz((2**22,), bytes(2**24))
+    assert len(content) < 2**15
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match="more than 1048576 bytes"):
+            read_npz(content, most_bytes=2**20, compressed=True)
+        assert tracemalloc.get_traced_memory()[1] < 2**20
+    finally:
+        tracemalloc.stop()
+
+
+def test_parts_that_fit_nothing_fail_the_self_test(folder: Path) -> None:
+    """Each is what its hash says; together they raise whatever numpy and onnxruntime do."""
+    np.savez(folder / "golden.npz", windows=np.zeros((1, 9, 5), np.float32))
+    digest = file_sha256(folder / "golden.npz")
+    edit(folder, lambda fields: fields.update(name="robot"))
+    edit(folder, lambda fields: fields["files"].update({"golden.npz": digest}))
+    with pytest.raises(SelfTestFailed, match="do not fit each other"):
+        BundleRegistry.load([folder])
 
 
 def test_a_graph_that_is_no_onnx(folder: Path) -> None:

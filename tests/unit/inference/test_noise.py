@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import io
-import logging
-import threading
+import struct
 import zipfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,12 +14,9 @@ import numpy as np
 import pytest
 
 from neuralmusic.errors import (
-    ConfigError,
     InvalidOption,
     NoiseMismatch,
     NoiseProfileInvalid,
-    NoiseStoreFull,
-    UnknownNoise,
 )
 from neuralmusic.protocol.methods import METHODS
 from service.doa.array import MicrophoneArray
@@ -33,8 +28,8 @@ from service.doa.whitening import NoiseCovariance, learn_noise
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, localizer_of
 from service.inference.noise_profile import MAX_BYTES, load_noise, noise_bytes
-from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
+from service.inference.stream import stream_localizer_of
 
 SQUARE = preset("respeaker-usb-4mic-v2")
 MOTOR = np.deg2rad(200.0)
@@ -161,6 +156,24 @@ def lying_header() -> bytes:
     return member.getvalue() + bytes(64)
 
 
+def named(*characters: int) -> bytes:
+    """The member of a name of these code points, which need be no characters."""
+    member = io.BytesIO()
+    np.save(member, np.array("", dtype="<U64"))
+    return member.getvalue()[:-256] + struct.pack(f"<{len(characters)}I", *characters).ljust(
+        256, b"\0"
+    )
+
+
+def with_members(content: bytes, count: int) -> bytes:
+    """A profile with so many empty files beside it."""
+    file = io.BytesIO(content)
+    with zipfile.ZipFile(file, "a") as archive:
+        for number in range(count):
+            archive.writestr(f"{number:04x}", b"")
+    return file.getvalue()
+
+
 BROKEN: dict[str, Callable[[bytes], bytes]] = {
     "empty": lambda content: b"",
     "text": lambda content: b"noise" * 100,
@@ -182,7 +195,23 @@ BROKEN: dict[str, Callable[[bytes], bytes]] = {
     ),
     "centimetres": lambda content: rewritten(content, positions=100 * SQUARE.positions),
     "no frames": lambda content: rewritten(content, hop=np.int64(0)),
+    "positions as large as floats": lambda content: rewritten(
+        content, positions=1e308 * np.sign(SQUARE.positions)
+    ),
+    "positions far away": lambda content: rewritten(content, positions=1e15 + SQUARE.positions),
+    "too few samples a second": lambda content: rewritten(content, sample_rate=np.int64(1)),
+    "too many samples a second": lambda content: rewritten(content, sample_rate=np.int64(2**62)),
+    "surrogate": lambda content: rewritten(content, name=named(0x41, 0xD800)),
+    "beyond Unicode": lambda content: rewritten(content, name=named(0x41, 0x110000)),
+    "far beyond Unicode": lambda content: rewritten(content, name=named(0x41, 0xFFFFFFFF)),
+    "NUL": lambda content: rewritten(content, name=named(0x41, 0, 0x42)),
+    "a line of its own": lambda content: rewritten(content, name=named(0x41, 0x0A, 0x1B)),
+    "nameless": lambda content: rewritten(content, name=named()),
     "no time": lambda content: rewritten(content, seconds=np.float64(-1)),
+    "hardly any time": lambda content: rewritten(content, seconds=np.float64(5e-324)),
+    "ages": lambda content: rewritten(content, seconds=np.float64(1e308)),
+    "many members": lambda content: with_members(content, 6000),
+    "too many members": lambda content: with_members(content, 2**16),
     "too large": lambda content: content + bytes(MAX_BYTES),
 }
 
@@ -197,123 +226,51 @@ def test_the_rewriting_of_members_alone_breaks_nothing(profile: NoiseCovariance)
     assert load_noise(io.BytesIO(rewritten(noise_bytes(profile)))).stft == profile.stft
 
 
+def one_bin() -> FloatArray:
+    matrices = np.zeros((257, 4, 4))
+    matrices[0, 0, 0] = 1
+    return matrices
+
+
+# Bins decades apart, and off by what rounding leaves of the loudest.
+DECADES = (10.0 ** np.linspace(-45, 38, 257))[:, None, None] * np.eye(4)
+EXTREME = {
+    "largest": np.tile(1e38 * np.eye(4), (257, 1, 1)),
+    "largest everywhere": np.full((257, 4, 4), 3.4e38 * (1 + 0j)),
+    "smallest": np.tile(1e-45 * np.eye(4), (257, 1, 1)),
+    "one value": one_bin(),
+    "decades": DECADES,
+    "barely negative": DECADES - 1e33 * np.diag([0, 0, 1, 2]),
+}
+
+
+@pytest.mark.parametrize("extreme", EXTREME)
+def test_a_profile_of_extreme_values_gives_directions_or_none(
+    extreme: str, profile: NoiseCovariance, registry: BundleRegistry, plane_waves
+) -> None:
+    content = rewritten(noise_bytes(profile), covariance=EXTREME[extreme].astype(np.complex64))
+    noise = load_noise(io.BytesIO(content))
+    audio = plane_waves(SQUARE, [50.0])
+    spectra = Stft().transform(audio)
+    for method in METHODS:
+        bundle = registry.for_array(SQUARE) if method == "neural" else None
+        stream = stream_localizer_of(method, bundle, SQUARE, Stft(), noise)
+        stream.push(spectra)
+        found = [
+            *localizer(method, registry, noise).estimate(audio[None], None, 3),
+            *localizer(method, registry, noise).estimate(audio[None], 2, 3),
+            stream.estimate(None, 3),
+        ]
+        for estimate in found:
+            assert np.isfinite(estimate.spectrum).all()
+            for source in estimate.sources:
+                assert 0 <= source.azimuth < 2 * np.pi
+                assert 0 <= source.confidence <= 1
+
+
 def test_the_largest_array_with_the_longest_frames_fits_in_a_file() -> None:
     rng = np.random.default_rng(0)
     array = MicrophoneArray("many", rng.uniform(-0.5, 0.5, (32, 3)))
     covariance = np.tile(np.eye(32, dtype=np.complex64), (2049, 1, 1))
     noise = NoiseCovariance(covariance, array, Stft(16000, 4096, 2048), 5.0)
     assert load_noise(io.BytesIO(noise_bytes(noise))).covariance.shape == (2049, 32, 32)
-
-
-def test_the_store_keeps_profiles_by_name_across_restarts(
-    profile: NoiseCovariance, tmp_path: Path
-) -> None:
-    folder = tmp_path / "noise"
-    store = NoiseStore(folder)
-    assert store.all() == []
-    stored = store.put("kitchen_fan-2.1", profile)
-    store.put("arms", replace(profile, seconds=7.0))
-    assert [each.name for each in NoiseStore(folder).all()] == ["arms", "kitchen_fan-2.1"]
-    again = NoiseStore(folder).get("kitchen_fan-2.1")
-    np.testing.assert_array_equal(again.noise.covariance, profile.covariance)
-    assert abs((again.created - stored.created).total_seconds()) < 60
-    store.delete("arms")
-    assert [path.name for path in folder.iterdir()] == ["kitchen_fan-2.1.npz"]
-    with pytest.raises(UnknownNoise, match=r"stored are kitchen_fan-2\.1"):
-        NoiseStore(folder).get("arms")
-    with pytest.raises(UnknownNoise):
-        store.delete("arms")
-
-
-def test_a_profile_whose_file_stays_is_not_forgotten(
-    profile: NoiseCovariance, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    store = NoiseStore(tmp_path)
-    store.put("fans", profile)
-
-    def refused(*_: object, **__: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(Path, "unlink", refused)
-    with pytest.raises(PermissionError):
-        store.delete("fans")
-    assert store.get("fans").name == "fans"
-    monkeypatch.undo()
-    store.delete("fans")
-    assert NoiseStore(tmp_path).all() == []
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["", ".", "..", "../fan", "a/b", "a\\b", ".hidden", "-rf", "a b", "fän", "x" * 65, "a\n"],
-)
-def test_names_that_leave_the_folder_are_refused(
-    name: str, profile: NoiseCovariance, tmp_path: Path
-) -> None:
-    with pytest.raises(InvalidOption, match="1 to 64 letters"):
-        NoiseStore(tmp_path / "noise").put(name, profile)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_full_store_refuses_new_names_only(profile: NoiseCovariance) -> None:
-    store = NoiseStore(capacity=2)
-    store.put("a", profile)
-    store.put("b", profile)
-    store.put("a", profile)
-    with pytest.raises(NoiseStoreFull, match="2 noise profiles"):
-        store.put("c", profile)
-    store.delete("a")
-    assert store.put("c", profile).name == "c"
-
-
-def test_a_corrupt_file_is_left_out_with_a_warning(
-    profile: NoiseCovariance, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    NoiseStore(tmp_path).put("good", profile)
-    (tmp_path / "bad.npz").write_bytes(b"PK nonsense")
-    (tmp_path / ".half.part").write_bytes(b"PK")
-    with caplog.at_level(logging.WARNING):
-        assert [each.name for each in NoiseStore(tmp_path).all()] == ["good"]
-    assert "bad.npz left out" in caplog.text
-    assert (tmp_path / "bad.npz").exists()
-
-
-def test_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "noise").write_text("")
-    with pytest.raises(ConfigError, match="is not a folder"):
-        NoiseStore(tmp_path / "noise")
-
-
-def test_many_threads_may_store_at_once(profile: NoiseCovariance, tmp_path: Path) -> None:
-    store = NoiseStore(tmp_path, capacity=5)
-    refused = []
-
-    def put(index: int) -> None:
-        try:
-            store.put(f"n{index % 8}", profile)
-        except NoiseStoreFull:
-            refused.append(index)
-
-    threads = [threading.Thread(target=put, args=(index,)) for index in range(24)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(store.all()) == len(list(tmp_path.iterdir())) == 5
-    assert len(refused) == 9  # the names without room, three times each
-
-
-def test_the_profiles_together_have_a_bound_in_bytes(
-    profile: NoiseCovariance, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    """A profile of the most microphones has 500 times the bytes of one of four."""
-    room = 2 * profile.covariance.nbytes
-    store = NoiseStore(tmp_path, max_bytes=room)
-    store.put("a", profile)
-    store.put("b", profile)
-    store.put("b", profile)  # in place of itself
-    with pytest.raises(NoiseStoreFull, match="MB"):
-        store.put("c", profile)
-    assert [each.name for each in NoiseStore(tmp_path, max_bytes=room).all()] == ["a", "b"]
-    assert [each.name for each in NoiseStore(tmp_path, max_bytes=room // 2).all()] == ["a"]
-    assert "exceeds the limit of noise profiles" in caplog.text

@@ -37,6 +37,8 @@ def stamped(sequence: int, captured_ns: int, audio: bytes) -> bytes:
         ({"array": {"name": None}}, "option_invalid", "positions_m"),
         ({"array": {"name": "a\nb"}}, "option_invalid", "printable"),
         ({"audio": {"channels": 2}}, "channel_mismatch", "2 channels"),
+        ({"client": "-x"}, "message_invalid", "start.client"),
+        ({"client": ".hidden"}, "message_invalid", "start.client"),
         ({"channel_map": [0, 1, 2, 9]}, "channel_mismatch", "channel 9"),
         ({"channel_map": [0, 1, 2, 2]}, "channel_map_invalid", "twice"),
         (
