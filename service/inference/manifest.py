@@ -6,6 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from service.inference.results import MAX_SOURCES
+
 SCHEMA_VERSION: Literal[2] = 2
 Variant = Literal["weights", "regression"]
 NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]{0,63}$"
@@ -76,6 +78,8 @@ class Manifest(_Section):
     files: dict[Annotated[str, Field(pattern=FILE_PATTERN)], str]
     """SHA-256 of every other file of the bundle"""
     covariance: Graph
+    covariance_by_count: dict[Annotated[int, Field(ge=1, le=MAX_SOURCES)], Graph] = {}
+    """Graphs of a `regression` bundle's covariance networks for one number of sources each"""
     source_count: Graph
     covariance_stream: Graph | None = None
     """Graph of the covariance network for streams, where the bundle has one"""
