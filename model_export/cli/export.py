@@ -23,6 +23,14 @@ def add(commands: Any) -> None:
     export.add_argument(
         "--source-count", type=Path, metavar="BUNDLE", help="reuse this bundle's source count"
     )
+    export.add_argument(
+        "--known",
+        type=Path,
+        nargs="+",
+        default=(),
+        metavar="RUN",
+        help="runs for one number of talkers each (paper-1 ...), used where the number is known",
+    )
     add_rooms(export, use=", where the source count is trained")
     add_corpora(export, required=True)
     export.set_defaults(run_command=_export)
@@ -42,6 +50,7 @@ def _export(arguments: argparse.Namespace) -> None:
         validation_speech=sources(arguments, "development"),
         counting_scenes=arguments.counting_scenes,
         source_count=arguments.source_count,
+        known=arguments.known,
         noises=noises(arguments),
         data=list(corpora),
         licences=[f"{corpus}: {licence}" for corpus, licence in corpora.items()],

@@ -15,7 +15,7 @@ from service.doa.presets import preset
 if TYPE_CHECKING:
     from model_export.training.scene_stream import SceneSource
 
-OVERRIDES = ("steps", "batch_size", "learning_rate", "seed")
+OVERRIDES = ("steps", "batch_size", "final_batch_size", "learning_rate", "seed")
 """Fields of a configuration that have a flag of their own"""
 
 
@@ -30,7 +30,13 @@ def add(commands: Any) -> None:
     )
     for name, kind in (("steps", int), ("batch-size", int), ("learning-rate", float)):
         train.add_argument(f"--{name}", type=kind, help="overrides the configuration's")
+    train.add_argument("--final-batch-size", type=int, help="scenes per step in the last tenth")
     train.add_argument("--seed", type=int, help="overrides the configuration's")
+    train.add_argument(
+        "--mean-fusion",
+        action="store_true",
+        help="take the mean over bins instead of their attention, the ablation of FAF (regression)",
+    )
     train.add_argument(
         "--noisy",
         type=float,
@@ -87,6 +93,8 @@ def _configuration(arguments: argparse.Namespace) -> TrainingConfig:
     config = replace(config, **{name: value for name, value in given.items() if value is not None})
     if arguments.noisy is not None:
         config = replace(config, scenes=replace(config.scenes, noisy=arguments.noisy))
+    if arguments.mean_fusion:
+        config = replace(config, attention=False)
     return replace(config, starts_from=None) if arguments.scratch else config
 
 

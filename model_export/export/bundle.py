@@ -13,9 +13,10 @@ import json
 import logging
 import shutil
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ from service.doa.types import FloatArray
 from service.inference.bundle import (
     CARD,
     COVARIANCE,
+    COVARIANCE_BY_COUNT,
     COVARIANCE_STREAM,
     FILES,
     FUSION,
@@ -43,9 +45,9 @@ from service.inference.bundle import (
     file_sha256,
     load_bundle,
 )
-from service.inference.localizer import localizer_of
+from service.inference.localizer import Localizer, localizer_of
 from service.inference.manifest import Graph, Manifest, Tensor
-from service.inference.registry import self_test
+from service.inference.registry import golden_spectra, self_test
 
 MAX_PARITY = 1e-3
 """Largest allowed difference of fused spectra, whose maximum is at most 1"""
@@ -145,9 +147,10 @@ def write_bundle(
     graphs: Mapping[str, ExportGraph],
     fusion: Mapping[str, FloatArray],
     parameters: Mapping[str, FloatArray],
-    reference: Sequence[FloatArray],
+    reference: Mapping[int, FloatArray],
     windows: FloatArray,
     array: MicrophoneArray,
+    known: Mapping[int, ExportGraph] = MappingProxyType({}),
 ) -> Manifest:
     """Write a whole bundle and verify it as the service would.
 
@@ -161,11 +164,14 @@ def write_bundle(
             Arrays of the file ``FUSION``, the trained parameters outside of the graphs.
         parameters : mapping
         The training model's tensors (``parameters.parameter_arrays``), which fine-tuning reads.
-    reference : sequence of (A,) float32
-        The torch pipeline's fused spectra of ``windows``.
+    reference : mapping of int to (B, A) float32
+        The torch pipelines' fused spectra of ``windows`` by the number of sources asked for, for
+        every number of ``golden_spectra``.
     windows : (B, N, T) float32
     array : MicrophoneArray
         Array of the windows.
+    known : mapping of int to ExportGraph, optional
+        Covariance networks for one number of sources each.
 
     Raises
     ------
@@ -174,31 +180,48 @@ def write_bundle(
     """
     folder.mkdir(parents=True, exist_ok=True)
     contracts = {name: export_onnx(g, folder / GRAPH_FILES[name]) for name, g in graphs.items()}
+    by_count = {n: export_onnx(g, folder / COVARIANCE_BY_COUNT[n]) for n, g in known.items()}
     np.savez(folder / FUSION, **fusion)  # type: ignore[arg-type]
     np.savez(folder / PARAMETERS, **parameters)  # type: ignore[arg-type]
-    golden = {"positions": array.positions, "windows": windows[:1], "spectra": np.zeros((1, 1))}
+    golden = {"positions": array.positions, "windows": windows[:1]}
     np.savez_compressed(folder / GOLDEN, **golden)  # type: ignore[arg-type]
     copy_card(folder, fields["name"])
-    draft = {**fields, **contracts, "parity": {}}
-    _write_manifest(folder, draft)
+    draft = {**fields, **contracts, "covariance_by_count": by_count, "parity": {}}
+    asked = golden_spectra(_write_manifest(folder, draft))
     localizer = localizer_of(load_bundle(folder), array)
-    served = [estimate.spectrum for estimate in localizer.estimate(windows, 1, 1)]
-    difference = max(float(np.abs(s - r).max()) for s, r in zip(served, reference, strict=True))
-    if difference > MAX_PARITY:
-        raise ValueError(
-            f"torch and onnxruntime with numpy differ by {difference:.2g}, above {MAX_PARITY:g}"
-        )
-    golden["spectra"] = np.stack(served[:1]).astype(np.float32)
+    served = {count: _spectra(localizer, windows, count) for count in asked.values()}
+    parity = _parity(served, reference)
+    golden |= {name: served[count][:1] for name, count in asked.items()}
     np.savez_compressed(folder / GOLDEN, **golden)  # type: ignore[arg-type]
-    parity = {
-        "what": "largest difference of fused spectra, torch against onnxruntime with numpy",
-        "windows": len(windows),
-        "max_abs_difference": float(f"{difference:.3g}"),
-        "bound": MAX_PARITY,
-    }
     manifest = _write_manifest(folder, {**draft, "parity": parity})
     self_test(load_bundle(folder))
     return manifest
+
+
+def _spectra(localizer: Localizer, windows: FloatArray, num_sources: int) -> FloatArray:
+    """The service's fused spectra (B, A) float32 of windows with so many sources asked for."""
+    estimates = localizer.estimate(windows, num_sources, max(num_sources, 1))
+    return np.stack([estimate.spectrum for estimate in estimates]).astype(np.float32)
+
+
+def _parity(
+    served: Mapping[int, FloatArray], reference: Mapping[int, FloatArray]
+) -> dict[str, Any]:
+    """The manifest's ``parity`` of spectra by the number of sources asked for."""
+    differences = {n: float(np.abs(served[n] - reference[n]).max()) for n in served}
+    largest = max(differences, key=lambda count: differences[count])
+    if not differences[largest] <= MAX_PARITY:
+        raise ValueError(
+            f"torch and onnxruntime with numpy differ by {differences[largest]:.2g} where "
+            f"{largest} sources are asked for, above {MAX_PARITY:g}"
+        )
+    return {
+        "what": "largest difference of fused spectra, torch against onnxruntime with numpy",
+        "windows": len(served[1]),
+        "max_abs_difference": float(f"{differences[largest]:.3g}"),
+        "by_num_sources": {str(n): float(f"{each:.3g}") for n, each in differences.items()},
+        "bound": MAX_PARITY,
+    }
 
 
 def stft_section(frames: int) -> dict[str, int]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import torch
+from torch import nn
 
 from model_export.export.bundle import ExportGraph, golden_windows, stft_section, write_bundle
 from model_export.export.parameters import parameter_arrays
@@ -26,15 +28,30 @@ GRID_SIZE = 360
 PARITY_WINDOWS = 4
 
 
-def export_regression(task: RegressionTask, folder: Path, fields: Mapping[str, Any]) -> Manifest:
-    """Write a `regression` bundle; ``fields`` name and describe it (see ``Manifest``)."""
+def export_regression(
+    task: RegressionTask,
+    folder: Path,
+    fields: Mapping[str, Any],
+    known: Mapping[int, RegressionTask] = MappingProxyType({}),
+) -> Manifest:
+    """Write a `regression` bundle.
+
+    Parameters
+    ----------
+    task : RegressionTask
+        Networks for any number of sources, and their count.
+    folder : Path
+    fields : mapping
+        The manifest's descriptive fields (see ``Manifest``).
+    known : mapping of int to RegressionTask, optional
+        Networks for one number of sources each, of the same array and features.
+    """
     if task.config.phase_reference != "first":
         raise ValueError("the service computes features with phase_reference 'first' only")
     pipeline, array = task.model, task.array
-    pipeline.eval()
     windows = golden_windows(array, PARITY_WINDOWS)
-    example = torch.zeros(2, 2 * array.num_microphones, NUM_BINS, NUM_FRAMES)
-    batch = {0: "batch"}
+    pipelines = {count: each.model for count, each in known.items()}
+    answering = {0: pipeline, 1: pipeline, **pipelines}
     return write_bundle(
         folder,
         {
@@ -49,23 +66,39 @@ def export_regression(task: RegressionTask, folder: Path, fields: Mapping[str, A
             "max_sources": MAX_SOURCES,
         },
         {
-            "covariance": ExportGraph(
-                pipeline.covariance, (example,), ("features",), ("covariance",), (batch,)
-            ),
-            "source_count": ExportGraph(
-                pipeline.count, (example,), ("features",), ("count_logits",), (batch,)
-            ),
+            "covariance": _graph(pipeline.covariance, array, "covariance"),
+            "source_count": _graph(pipeline.count, array, "count_logits"),
         },
+        _fusion({"": pipeline, **{f"_{count}": each for count, each in pipelines.items()}}),
+        parameter_arrays(
+            model=pipeline,
+            **{f"covariance_{count}": each.covariance for count, each in pipelines.items()},
+        ),
         {
-            "floor": pipeline.log_floor.detach().exp().numpy(),
-            "squeeze": pipeline.fusion.squeeze.weight.detach().numpy(),
-            "excite": pipeline.fusion.excite.weight.detach().numpy(),
+            count: reference_spectra(each, windows, array, task.config.level_exponent, count)
+            for count, each in answering.items()
         },
-        parameter_arrays(model=pipeline),
-        list(reference_spectra(pipeline, windows, array, task.config.level_exponent)),
         windows,
         array,
+        {n: _graph(each.covariance, array, "covariance") for n, each in pipelines.items()},
     )
+
+
+def _graph(network: nn.Module, array: MicrophoneArray, output: str) -> ExportGraph:
+    """Graph from features to one output."""
+    example = torch.zeros(2, 2 * array.num_microphones, NUM_BINS, NUM_FRAMES)
+    return ExportGraph(network, (example,), ("features",), (output,), ({0: "batch"},))
+
+
+@torch.no_grad()
+def _fusion(pipelines: Mapping[str, RegressionPipeline]) -> dict[str, FloatArray]:
+    """Arrays of the bundle's file of the fusion, of pipelines by the ending of their names."""
+    arrays: dict[str, FloatArray] = {}
+    for ending, pipeline in pipelines.items():
+        arrays[f"floor{ending}"] = pipeline.log_floor.exp().numpy()
+        arrays[f"squeeze{ending}"] = pipeline.fusion.squeeze.weight.numpy()
+        arrays[f"excite{ending}"] = pipeline.fusion.excite.weight.numpy()
+    return arrays
 
 
 @torch.no_grad()
@@ -74,12 +107,14 @@ def reference_spectra(
     windows: FloatArray,
     array: MicrophoneArray,
     level_exponent: float = 0.0,
+    num_sources: int = 1,
 ) -> FloatArray:
-    """The torch pipeline's fused spectra (B, A) of windows (B, N, T) with one source each."""
+    """The torch pipeline's fused spectra (B, A) of windows (B, N, T), so many sources asked for."""
+    pipeline.eval()
     delays = steering_delays(array.positions[None], azimuth_grid(GRID_SIZE))
     frequencies = torch.from_numpy(STFT.frequencies).float()
     products = delay_products(torch.from_numpy(delays), frequencies)[0]
     features = spectrogram_features(STFT.transform(windows), level_exponent=level_exponent)
-    ones = torch.ones(len(windows), dtype=torch.long)
-    fused: FloatArray = pipeline(torch.from_numpy(features), products, ones).fused.numpy()
+    counts = torch.full((len(windows),), num_sources)
+    fused: FloatArray = pipeline(torch.from_numpy(features), products, counts).fused.numpy()
     return np.asarray(fused)

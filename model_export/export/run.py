@@ -13,8 +13,10 @@ from model_export.export.parameters import source_count_of
 from model_export.export.regression import export_regression
 from model_export.export.weights import candidate_search, export_weights
 from model_export.simulation.room_bank import RoomBank
+from model_export.training.config import TrainingConfig
 from model_export.training.counting import CandidateCountNetwork, collect, train_counting
 from model_export.training.regression import RegressionTask
+from model_export.training.task import Task
 from model_export.training.train import load_run
 from model_export.training.weights_task import WeightsTask
 from service.doa.types import FloatArray
@@ -38,6 +40,7 @@ def export_run(
     validation_speech: Sequence[FloatArray],
     counting_scenes: int,
     source_count: Path | None = None,
+    known: Sequence[Path] = (),
     noises: Sequence[FloatArray] = (),
     data: Sequence[str],
     licences: Sequence[str],
@@ -46,26 +49,21 @@ def export_run(
 
     ``rooms`` is the folder of the room bank on which the source count is trained, if it is.
     ``source_count`` is the folder of a bundle whose source count is used instead: the teacher's,
-    for a distilled run, which gives the same candidates. ``out`` may hold a bundle, which is
-    replaced once the new one has passed its tests.
+    for a distilled run, which gives the same candidates. ``known`` are runs of a `regression`
+    bundle's networks for one number of talkers each. ``out`` may hold a bundle, which is replaced
+    once the new one has passed its tests.
 
     Raises
     ------
     ValueError
-        If ``out`` holds anything else, the run cannot be exported, or the exported networks differ
-        from the trained ones.
+        If ``out`` holds anything else, the run or a known one cannot be exported, or the exported
+        networks differ from the trained ones.
     """
     check_replaceable(out)
     config, task, step = load_run(run)
     if config.variant == "sscl":
         raise ValueError(f"{run} only pretrains an encoder: train 'paper' from it and export that")
-    training: dict[str, Any] = {
-        "config": config.as_dict(),
-        "steps": step,
-        "scenes": step * config.batch_size,
-        "parameters": digest(task.model.state_dict()),
-        "data": list(data),
-    }
+    training = {**_record(config, task, step), "data": list(data)}
     fields = {
         "name": name or config.name,
         "version": version,
@@ -75,8 +73,16 @@ def export_run(
         "licences": list(licences),
     }
     if isinstance(task, RegressionTask):
+        tasks, records = known_tasks(task, known)
+        if records:
+            training["known"] = records
         with in_the_place_of(out) as folder:
-            return export_regression(task, folder, fields)
+            return export_regression(task, folder, fields, tasks)
+    if known:
+        raise ValueError(
+            f"{run} is of the variant {config.variant}, one network for every number of talkers: "
+            "leave --known out"
+        )
     assert isinstance(task, WeightsTask)
     if source_count is not None:
         network = source_count_of(source_count)
@@ -91,6 +97,44 @@ def export_run(
         training["counting_validation"] = {key: round(value, 4) for key, value in scores.items()}
     with in_the_place_of(out) as folder:
         return export_weights(task.model, network, folder, fields)
+
+
+def known_tasks(
+    task: RegressionTask, runs: Sequence[Path]
+) -> tuple[dict[int, RegressionTask], dict[str, Any]]:
+    """The networks of runs for one number of talkers each by that number, and their records.
+
+    Raises
+    ------
+    ValueError
+        If a run is of another variant or of several numbers, has the number of another, or its
+        array or features differ from the task's.
+    """
+    tasks: dict[int, RegressionTask] = {}
+    records: dict[str, Any] = {}
+    for run in runs:
+        config, known, step = load_run(run)
+        count = config.scenes.known_count
+        if not isinstance(known, RegressionTask) or not count:
+            raise ValueError(
+                f"{run} was not trained for one number of talkers: name runs of paper-1, paper-2 "
+                "or paper-3"
+            )
+        if count in tasks:
+            raise ValueError(f"{run} is the second run for {count} talkers: name one")
+        config.check_features(task.config)
+        tasks[count], records[str(count)] = known, _record(config, known, step)
+    return dict(sorted(tasks.items())), records
+
+
+def _record(config: TrainingConfig, task: Task[Any], step: int) -> dict[str, Any]:
+    """The manifest's record of a run's training."""
+    return {
+        "config": config.as_dict(),
+        "steps": step,
+        "scenes": config.scenes_in(step),
+        "parameters": digest(task.model.state_dict()),
+    }
 
 
 def _count_sources(

@@ -75,7 +75,7 @@ def export_weights(
             "kept_share": np.array(analysis.kept_share, np.float32),
         },
         parameter_arrays(model=pipeline, source_count=source_count),
-        list(reference_spectra(pipeline, windows, array)),
+        {1: reference_spectra(pipeline, windows, array)},
         windows,
         array,
     )

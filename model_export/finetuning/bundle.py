@@ -25,8 +25,9 @@ def export_finetuned(
     parameters = start.training["parameters"]
     origin = {"name": start.name, "version": start.version, "parameters": parameters}
     earlier = start.training.get("fine_tuning")
+    kept = {name: value for name, value in start.training.items() if name != "known"}
     training = {
-        **start.training,
+        **kept,  # the networks for known numbers of talkers stay behind: they have learned nothing
         "parameters": digest(model.task.model.state_dict()),
         "fine_tuning": {"from": origin, **record, **({"earlier": earlier} if earlier else {})},
     }

@@ -41,3 +41,9 @@ class SceneConfig:
     quantised: float = 0.2
     late: float = 0.0
     """All talkers begin inside the window, as a stream hears them first"""
+
+    @property
+    def known_count(self) -> int | None:
+        """The number of talkers, where all scenes have the same."""
+        possible = [count for count, chance in enumerate(self.source_counts) if chance]
+        return possible[0] if len(possible) == 1 else None

@@ -25,6 +25,8 @@ class TrainingConfig:
     """Optimizer steps"""
     batch_size: int = 16
     """Scenes per step"""
+    final_batch_size: int | None = None
+    """Scenes per step in the last tenth of the steps; None keeps ``batch_size``"""
     learning_rate: float = 2e-3
     """Rate at the start; it falls to a hundredth along a cosine"""
     weight_decay: float = 1e-4
@@ -46,6 +48,8 @@ class TrainingConfig:
     """Whether its networks are trained with pooling before batch norm (``reparametrize``)"""
     bin_step: int = 1
     """Step between the bins whose spectra enter its loss; the first bin is random"""
+    attention: bool = True
+    """Whether the `regression` variant weighs bins (FAF); False takes their mean, an ablation"""
     array: str | None = None
     """Preset that the run is bound to; None draws random arrays from the room bank"""
     singles: bool = False
@@ -67,19 +71,49 @@ class TrainingConfig:
     seed: int = 1
 
     def __post_init__(self) -> None:
-        if self.steps < 1 or self.batch_size < 1:
-            raise ValueError("steps and batch_size must be positive")
+        if min(self.steps, self.batch_size, self.final_batch_size or 1) < 1:
+            raise ValueError("steps and batch sizes must be positive")
         if self.variant != "weights" and self.array is None:
             raise ValueError(f"the {self.variant} variant is bound to one array: name its preset")
         if self.level_exponent and self.phase_reference != "first":
             raise ValueError("level_exponent is for features of phase_reference 'first' only")
+
+    def batch_size_at(self, step: int) -> int:
+        """Scenes of one step, which counts from 0."""
+        return self.batch_size if step < self._early_steps else self._late_batch_size
+
+    def scenes_in(self, steps: int) -> int:
+        """Scenes of the first so many steps."""
+        early = min(steps, self._early_steps)
+        return early * self.batch_size + (steps - early) * self._late_batch_size
+
+    @property
+    def _early_steps(self) -> int:
+        return self.steps - self.steps // 10
+
+    @property
+    def _late_batch_size(self) -> int:
+        return self.batch_size if self.final_batch_size is None else self.final_batch_size
+
+    def check_features(self, other: TrainingConfig) -> None:
+        """Raise ValueError if another run's networks take other features."""
+        for setting in ("array", "phase_reference", "level_exponent"):
+            ours, theirs = getattr(self, setting), getattr(other, setting)
+            if ours != theirs:
+                raise ValueError(
+                    f"{self.name} was trained with {setting} {ours}, but {other.name} has "
+                    f"{theirs}: train both with the same {setting}"
+                )
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
 
     @classmethod
     def from_dict(cls, fields: dict[str, Any]) -> TrainingConfig:
-        """The configuration that ``as_dict`` wrote, also after a round trip through JSON."""
+        """The configuration that ``as_dict`` wrote, also after a round trip through JSON.
+
+        Fields that an older version did not write have their defaults.
+        """
         scenes: dict[str, Any] = {
             key: tuple(value) if isinstance(value, list) else value
             for key, value in fields["scenes"].items()

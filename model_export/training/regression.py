@@ -196,6 +196,8 @@ class RegressionTask:
         self.config = config
         self.array = preset(config.array)
         self.model = RegressionPipeline(self.array.num_microphones)
+        if not config.attention:
+            self.model.fusion.average()
         reparametrize(self.model, config)
 
     def start_from(self, start: Task[Any]) -> None:

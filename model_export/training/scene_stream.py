@@ -94,8 +94,9 @@ class SceneStream(IterableDataset[Batch]):
 
     def __iter__(self) -> Iterator[Batch]:
         info = torch.utils.data.get_worker_info()
-        worker = info.id if info else 0
+        worker, workers = (info.id, info.num_workers) if info else (0, 1)
         rng = np.random.default_rng([self.config.seed, self.first_step, worker])
         scenes = self.source.scenes(rng, self.config)
-        while True:
-            yield collate(self.config, rng, list(islice(scenes, self.config.batch_size)))
+        for step in count(self.first_step + worker, workers):  # the loader takes turns
+            size = self.config.batch_size_at(step)
+            yield collate(self.config, rng, list(islice(scenes, size)))

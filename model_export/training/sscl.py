@@ -173,13 +173,7 @@ def load_encoder(encoder: Encoder, start: SsclTask, config: TrainingConfig) -> N
         If its array, phase reference or level exponent differs, or the name or shape of a
         parameter.
     """
-    for setting in ("array", "phase_reference", "level_exponent"):
-        theirs, ours = getattr(start.config, setting), getattr(config, setting)
-        if theirs != ours:
-            raise ValueError(
-                f"{start.config.name} was trained with {setting} {theirs}, but {config.name} has "
-                f"{ours}: pretrain with the same {setting}"
-            )
+    start.config.check_features(config)
     try:
         load_plain(encoder, start.model.encoder.state_dict())
     except RuntimeError as error:

@@ -147,11 +147,12 @@ def _validation_batches(config: TrainingConfig, scenes: SceneSource) -> list[Bat
 
 
 def _describe(run: Path, config: TrainingConfig) -> None:
-    settings = json.loads(json.dumps(config.as_dict()))
     described = run / "config.json"
-    if described.exists() and json.loads(described.read_text()) != settings:
-        raise ValueError(f"{run} holds a run with other settings: name another folder")
-    described.write_text(json.dumps(settings, indent=2) + "\n")
+    if described.exists():
+        held = TrainingConfig.from_dict(json.loads(described.read_text()))
+        if held != config:
+            raise ValueError(f"{run} holds a run with other settings: name another folder")
+    described.write_text(json.dumps(config.as_dict(), indent=2) + "\n")
 
 
 def _write_curves(
@@ -196,7 +197,7 @@ def _progress(config: TrainingConfig, first_step: int) -> Iterator[_Tell]:
             if scores is None and fitting.step % LOG_STEPS:
                 return
             rate = (fitting.step - first_step) / (time.monotonic() - began)
-            line = f"{config.name} step {fitting.step} scenes {fitting.step * config.batch_size}"
+            line = f"{config.name} step {fitting.step} scenes {config.scenes_in(fitting.step)}"
             line += f" loss {loss:.4f} steps/s {rate:.1f} rate {fitting.learning_rate:.2g}"
             for name, value in (scores or {}).items():
                 line += f" {name} {value:.3f}"

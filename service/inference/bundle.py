@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from service.doa.types import FloatArray
 from service.inference.engine import Engine
 from service.inference.manifest import SCHEMA_VERSION, Graph, Manifest
 from service.inference.npz import read_npz
-from service.inference.results import ModelIdentity
+from service.inference.results import MAX_SOURCES, ModelIdentity
 
 MANIFEST = "bundle.json"
 COVARIANCE = "covariance.onnx"
@@ -30,8 +30,10 @@ COVARIANCE_STREAM = "covariance_stream.onnx"
 """Covariance network of `weights` bundles for streams, frame after frame with its state"""
 CARD = "card.md"
 PARAMETERS = "parameters.npz"
-OPTIONAL_FILES = (COVARIANCE_STREAM, CARD, PARAMETERS)
-"""Files that recordings do not need; verified where the manifest names them"""
+COVARIANCE_BY_COUNT = {count: f"covariance_{count}.onnx" for count in range(1, MAX_SOURCES + 1)}
+"""Covariance networks of `regression` bundles for one number of sources each"""
+OPTIONAL_FILES = (COVARIANCE_STREAM, CARD, PARAMETERS, *COVARIANCE_BY_COUNT.values())
+"""Files that not every bundle has; verified where the manifest names them"""
 MAX_FILE_BYTES = 256 * 2**20
 
 
@@ -60,6 +62,7 @@ class Bundle:
     source_count: Engine
     fusion: Mapping[str, FloatArray]
     golden: Mapping[str, FloatArray]
+    covariance_by_count: Mapping[int, Engine] = field(default_factory=dict)
     covariance_stream: Engine | None = None
     card: str | None = None
     """The model card, Markdown"""
@@ -124,6 +127,7 @@ def read_bundle(folder: Path) -> BundleFiles:
     """
     manifest, digest = read_manifest(folder)
     named = set(manifest.files) | ({COVARIANCE_STREAM} if manifest.covariance_stream else set())
+    named |= {COVARIANCE_BY_COUNT[count] for count in manifest.covariance_by_count}
     wanted = (*FILES, *(name for name in OPTIONAL_FILES if name in named))
     content = {name: _verified(folder, name, manifest.files.get(name)) for name in wanted}
     content.pop(PARAMETERS, None)
@@ -146,6 +150,10 @@ def open_bundle(files: BundleFiles, *, threads: int = 1) -> Bundle:
         source_count=_engine(files, SOURCE_COUNT, manifest.source_count, threads),
         fusion=_arrays(files, FUSION),
         golden=_arrays(files, GOLDEN),
+        covariance_by_count={
+            count: _engine(files, COVARIANCE_BY_COUNT[count], graph, threads)
+            for count, graph in manifest.covariance_by_count.items()
+        },
         covariance_stream=_engine(files, COVARIANCE_STREAM, stream, threads) if stream else None,
         card=_text(files, CARD) if CARD in files.content else None,
     )

@@ -9,6 +9,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from neuralmusic.protocol.client_messages import MAX_SAMPLE_RATE, MIN_SAMPLE_RATE
 from neuralmusic.protocol.names import MAX_LABEL, is_label
 from service.doa.array import MAX_MICROPHONES
+from service.inference.results import MAX_SOURCES
 
 SCHEMA_VERSION: Literal[2] = 2
 Variant = Literal["weights", "regression"]
@@ -100,6 +101,8 @@ class Manifest(_Section):
     files: dict[Annotated[str, Field(pattern=FILE_PATTERN)], str]
     """SHA-256 of every other file of the bundle"""
     covariance: Graph
+    covariance_by_count: dict[Annotated[int, Field(ge=1, le=MAX_SOURCES)], Graph] = {}
+    """Graphs of a `regression` bundle's covariance networks for one number of sources each"""
     source_count: Graph
     covariance_stream: Graph | None = None
     """Graph of the covariance network for streams, where the bundle has one"""

@@ -17,6 +17,7 @@ from neuralmusic.errors import (
 )
 from service.doa.array import MicrophoneArray
 from service.inference.bundle import (
+    GOLDEN,
     MANIFEST,
     Bundle,
     BundleFiles,
@@ -25,6 +26,7 @@ from service.inference.bundle import (
     read_manifest,
 )
 from service.inference.localizer import localizer_of
+from service.inference.manifest import Manifest
 
 EMBEDDED_MODELS = Path(__file__).parent.parent / "models"
 GOLDEN_TOLERANCE = 1e-3
@@ -168,14 +170,31 @@ def _check(bundle: Bundle) -> None:
         ) from error
 
 
+def golden_spectra(manifest: Manifest) -> dict[str, int]:
+    """Names of the golden spectra, and the number of sources that is asked for each.
+
+    Together they run every covariance network: one source is always asked for, then every number
+    with a network of its own, and 0 where the network for any number does not answer for one.
+    """
+    known = manifest.covariance_by_count
+    others = {0, *known} - {1} if 1 in known else set(known)
+    return {"spectra": 1, **{f"spectra_{count}": count for count in sorted(others)}}
+
+
 def self_test(bundle: Bundle) -> None:
     """Raise SelfTestFailed unless the golden input gives the golden spectra on this machine."""
     golden = bundle.golden
     array = bundle.bound_array() or MicrophoneArray("golden", golden["positions"])
-    estimates = localizer_of(bundle, array).estimate(golden["windows"], 1, 1)
+    localizer = localizer_of(bundle, array)
+    asked = golden_spectra(bundle.manifest)
+    if missing := sorted(asked.keys() - golden.keys()):
+        raise BundleCorrupt(f"{bundle.folder / GOLDEN} lacks {missing[0]}: export the model again")
     difference = max(
         float(np.abs(estimate.spectrum - expected).max())
-        for estimate, expected in zip(estimates, golden["spectra"], strict=True)
+        for name, count in asked.items()
+        for estimate, expected in zip(
+            localizer.estimate(golden["windows"], count, max(count, 1)), golden[name], strict=True
+        )
     )
     if not difference <= GOLDEN_TOLERANCE:
         raise SelfTestFailed(

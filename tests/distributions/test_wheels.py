@@ -105,7 +105,9 @@ def test_a_robot_has_its_own_commands_and_hears_of_the_others(robot: Environment
     missing = robot.run("neuralmusic", "serve")
     assert (missing.returncode, missing.stderr.count("\n")) == (2, 1)
     assert "comes with the package neuralmusic-service" in missing.stderr
-    assert "pip install './client[http]'" in robot.run("python", "-c", LOCALIZING, "", "", "").stderr
+    assert (
+        "pip install './client[http]'" in robot.run("python", "-c", LOCALIZING, "", "", "").stderr
+    )
 
 
 def test_a_robot_localizes_with_the_extra(
@@ -137,9 +139,7 @@ def test_wheels_and_sdists_hold_what_they_should(built: Path) -> None:
         assert not any(name.startswith(("tests", "docs", "model_export")) for name in names)
 
 
-def test_an_unsupported_python_is_told_so(
-    built: Path, client_wheel: str, tmp_path: Path
-) -> None:
+def test_an_unsupported_python_is_told_so(built: Path, client_wheel: str, tmp_path: Path) -> None:
     old = next((path for version, path in pythons().items() if version in ("3.9", "3.10")), None)
     if old is None:
         pytest.skip("there is no Python here that is too old for the service")

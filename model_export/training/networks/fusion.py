@@ -21,6 +21,11 @@ class FrequencyAttentionFusion(nn.Module):
         self.squeeze = nn.Linear(num_bins, bottleneck, bias=False)
         self.excite = nn.Linear(bottleneck, num_bins, bias=False)
 
+    def average(self) -> None:
+        """Weigh all bins alike for good: the ablation of the attention."""
+        torch.nn.init.zeros_(self.excite.weight)  # a sigmoid of zero is the same everywhere
+        self.requires_grad_(False)
+
     def attention(self, spectrum: Tensor, bins: Tensor | None = None) -> Tensor:
         """Weights (B, F) in (0, 1) of the spectra (B, F, A), which may be those of some bins."""
         chosen = slice(None) if bins is None else bins

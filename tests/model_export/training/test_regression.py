@@ -234,3 +234,16 @@ def test_the_pipeline_learns_four_scenes() -> None:
         scores = task.scores(batch)
     assert scores["error_deg"].max() < 5
     assert scores["count_accuracy"].min() == 1
+
+
+def test_without_attention_the_bins_count_alike_and_stay_so_in_training() -> None:
+    torch.manual_seed(0)
+    task = RegressionTask(replace(CONFIG, attention=False))
+    optimizer = torch.optim.AdamW(task.model.parameters(), lr=0.1, weight_decay=0.1)
+    task.losses(batch_of((20.0,)))["loss"].backward()
+    optimizer.step()
+    spectrum = torch.rand(2, STFT.num_bins, 72)
+    torch.testing.assert_close(task.model.fusion(spectrum), spectrum.mean(1))
+    bins = torch.arange(1, STFT.num_bins, 2)
+    some = task.model.fusion(spectrum[:, bins], bins)
+    torch.testing.assert_close(some, spectrum[:, bins].mean(1))

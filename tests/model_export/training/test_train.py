@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from torch.utils.data import DataLoader
 
 from model_export.simulation.scenes import WINDOW_SAMPLES, Scene
 from model_export.training.config import ANY_ARRAY, PAPER_KNOWN, TrainingConfig
@@ -142,3 +144,27 @@ def test_another_seed_makes_other_batches_and_another_step_too() -> None:
     assert torch.equal(first(CONFIG, 2), first(CONFIG, 2))
     assert not torch.equal(first(CONFIG, 2), first(CONFIG, 0))
     assert not torch.equal(first(CONFIG, 2), first(replace(CONFIG, seed=2), 2))
+
+
+def test_the_last_tenth_of_the_steps_takes_larger_batches() -> None:
+    config = replace(CONFIG, steps=20, final_batch_size=5)
+    sizes = [len(batch.features) for batch in islice(SceneStream(config, Noise()), 20)]
+    assert sizes == [2] * 18 + [5] * 2
+    resumed = SceneStream(config, Noise(), first_step=17)
+    assert [len(batch.features) for batch in islice(resumed, 2)] == [2, 5]
+    assert [config.scenes_in(steps) for steps in (0, 18, 20)] == [0, 36, sum(sizes)]
+    # Two processes take turns, whichever step comes first.
+    loader = DataLoader(SceneStream(config, Noise(), first_step=16), batch_size=None, num_workers=2)
+    assert [len(batch.features) for batch in islice(loader, 4)] == sizes[16:]
+
+
+def test_a_run_of_a_version_with_fewer_settings_goes_on(tmp_path: Path) -> None:
+    short = replace(CONFIG, steps=1, validation_scenes=2)
+    train(short, tmp_path, Noise(), Noise(), workers=0)
+    path = tmp_path / "config.json"
+    settings = json.loads(path.read_text())
+    del settings["attention"], settings["final_batch_size"]
+    path.write_text(json.dumps(settings))
+    train(short, tmp_path, Noise(batches=0), Noise(batches=0))
+    with pytest.raises(ValueError, match="holds a run with other settings"):
+        train(replace(short, final_batch_size=8), tmp_path, Noise(), Noise())
