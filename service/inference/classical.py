@@ -108,6 +108,7 @@ class ClassicalLocalizer:
             self._whitening = Whitening.fitting(noise, array, self._stft).band(self._band)
             self._grid = Grid(self._whitening.steering(self._grid.steering))
         self._searched = searched_half(array, azimuth_grid())
+        self.grid_size = len(self._searched)
         self._most_sources = array.num_microphones - 1
 
     def estimate(

@@ -18,6 +18,9 @@ from service.inference.windows import Stretch
 class Localizer(Protocol):
     """Anything that localizes windows: a bundle's networks or a classical method."""
 
+    grid_size: int
+    """Number of azimuths in its spectra"""
+
     def estimate(
         self, windows: FloatArray, num_sources: int | None, max_sources: int
     ) -> list[WindowEstimate]:

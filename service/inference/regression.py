@@ -58,10 +58,11 @@ class RegressionLocalizer:
         manifest = bundle.manifest
         self._bundle = bundle
         self._stft = bundle.stft
+        self.grid_size = manifest.grid_size
         self._frames = manifest.stft.frames
         self._bins = slice(manifest.first_bin, manifest.first_bin + manifest.num_bins)
         self._steering = steering_vectors(
-            array.positions, self._stft.frequencies[self._bins], azimuth_grid(manifest.grid_size)
+            array.positions, self._stft.frequencies[self._bins], azimuth_grid(self.grid_size)
         )
         networks = {ANY_COUNT: bundle.covariance, **bundle.covariance_by_count}
         self._models = {count: _model(bundle, count, each) for count, each in networks.items()}

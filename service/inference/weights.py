@@ -83,6 +83,7 @@ class CandidateSearch:
         every = analysis.stft.frequencies[self._bins]
         frequencies = every.reshape(-1, analysis.bins_per_cell).mean(axis=-1)
         grid_size = analysis.grid_size * (1 if array.aperture <= SMALL_APERTURE else 2)
+        self.grid_size = grid_size
         # The floor shrinks for small arrays, whose spectra would else be one broad peak.
         self._resolution = resolution(array.positions, frequencies)
         floor = analysis.floor * self._resolution
@@ -325,6 +326,7 @@ class WeightsLocalizer:
     ) -> None:
         self._counter = SourceCounter(bundle.source_count)
         self._search = CandidateSearch(bundle.covariance, analysis_of(bundle), array, noise)
+        self.grid_size = self._search.grid_size
 
     def estimate(
         self, windows: FloatArray, num_sources: int | None, max_sources: int

@@ -115,15 +115,14 @@ def _estimate(
     localizer: Localizer, options: LocalizeOptions, stretch: Stretch
 ) -> list[WindowEstimate]:
     """Estimates of a stretch's windows; silent ones have no sources."""
+    heard = (w[:, : max(n, 1)] for w, n in zip(stretch.windows, stretch.heard, strict=True))
+    silent = [float(np.vecdot(each, each).sum()) < SILENCE * each.size for each in heard]
+    nothing = WindowEstimate((), np.zeros(localizer.grid_size, dtype=np.float32))
+    if all(silent):  # an hour of it compresses to nothing and must cost next to nothing
+        return [nothing] * len(silent)
     most = min(options.max_sources, options.array.num_microphones - 1)
     estimates = estimate_stretch(localizer, stretch, options.num_sources, most)
-    heard = (w[:, : max(n, 1)] for w, n in zip(stretch.windows, stretch.heard, strict=True))
-    return [_unless_silent(*each) for each in zip(heard, estimates, strict=True)]
-
-
-def _unless_silent(heard: FloatArray, estimate: WindowEstimate) -> WindowEstimate:
-    silent = float(np.vecdot(heard, heard).sum()) < SILENCE * heard.size
-    return WindowEstimate((), np.zeros_like(estimate.spectrum)) if silent else estimate
+    return [nothing if s else each for s, each in zip(silent, estimates, strict=True)]
 
 
 def _placed(

@@ -173,7 +173,7 @@ def helpers(pid: int) -> list[int]:
 def test_a_helper_that_dies_takes_one_recording_with_it(running: Service) -> None:
     assert running.post().status_code == 200
     worker = running.pid
-    long = running.executor.submit(running.post, silence(1800).getvalue())
+    long = running.executor.submit(running.post, constant(1800, level=99).getvalue())
     while not (forked := helpers(worker)):
         assert running.client.get("/livez").status_code == 200
         assert not long.done()
@@ -212,10 +212,10 @@ def job(**options: Any) -> RecordingJob:
     return RecordingJob(asked, AudioLimits())
 
 
-def silence(seconds: float, channels: int = 4) -> io.BytesIO:
-    """A long recording in a small file."""
+def constant(seconds: float, channels: int = 4, level: int = 0) -> io.BytesIO:
+    """A long recording in a small file, by default of digital silence."""
     file = io.BytesIO()
-    samples = np.zeros((round(seconds * 4000), channels), np.int16)
+    samples = np.full((round(seconds * 4000), channels), level, np.int16)
     soundfile.write(file, samples, 4000, format="FLAC")
     file.seek(0)
     return file
@@ -233,18 +233,18 @@ def test_too_many_windows_are_refused_before_anything_is_decoded(
 ) -> None:
     reports: list[Any] = []
     with pytest.raises(InvalidOption, match=says):
-        localize_file(job(**options), silence(seconds), BundleRegistry(()), reports.append)
+        localize_file(job(**options), constant(seconds), BundleRegistry(()), reports.append)
     assert reports == []
 
 
 @pytest.mark.parametrize("seconds", [1001, 1100, 1500.5, 3600])
 def test_the_hop_that_is_advised_is_taken(seconds: float) -> None:
     with pytest.raises(InvalidOption) as caught:
-        localize_file(job(hop_s=0.02), silence(seconds, 1), BundleRegistry(()), lambda _: None)
+        localize_file(job(hop_s=0.02), constant(seconds, 1), BundleRegistry(()), lambda _: None)
     advised = re.findall(r"hop_s=([0-9.]+) or more", caught.value.detail)[0]
     reports: list[Any] = []
     with suppress(Heard):
-        localize_file(job(hop_s=advised), silence(seconds, 1), BundleRegistry(()), heard(reports))
+        localize_file(job(hop_s=advised), constant(seconds, 1), BundleRegistry(()), heard(reports))
     assert reports == [HeaderRead(seconds)]
 
 
@@ -284,7 +284,7 @@ def test_a_long_recording_is_the_same_from_one_process_and_from_three() -> None:
 
 def test_a_recording_is_opened_before_it_is_decoded() -> None:
     reports: list[Any] = []
-    localize_file(job(), silence(10), BundleRegistry(()), reports.append)
+    localize_file(job(), constant(10), BundleRegistry(()), reports.append)
     assert reports[0] == HeaderRead(10.0)
     assert reports[-1] == Progress(1.0)
     shares = [report.share for report in reports[1:]]
@@ -313,7 +313,7 @@ def test_a_worker_that_is_told_to_stop_waits_for_the_next_recording(
     link: Link, tmp_path: Any
 ) -> None:
     path = tmp_path / "silence.flac"
-    path.write_bytes(silence(10).getvalue())
+    path.write_bytes(constant(10).getvalue())
     for _ in range(2):
         with path.open("rb") as file:
             link.send(job(), [file.fileno()])
