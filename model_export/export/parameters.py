@@ -97,7 +97,7 @@ def source_count_of(folder: Path) -> CandidateCountNetwork:
 def _load(module: nn.Module, network: str, arrays: Mapping[str, FloatArray]) -> None:
     prefix = f"{network}."
     state = {
-        name.removeprefix(prefix): torch.from_numpy(array)
+        name.removeprefix(prefix): torch.tensor(array)
         for name, array in arrays.items()
         if name.startswith(prefix)
     }
