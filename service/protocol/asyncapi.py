@@ -30,6 +30,7 @@ from service.errors import (
     Overloaded,
     RoleMissing,
     SubprotocolMissing,
+    TooManyConnections,
     TooManySessions,
 )
 from service.protocol import MAX_MESSAGE_BYTES, SUBPROTOCOL
@@ -64,6 +65,7 @@ HANDSHAKE_ERRORS: tuple[type[DoaError], ...] = (
     TooManySessions,
     AudioQuota,
     Overloaded,
+    TooManyConnections,
     NotReady,
     Draining,
 )

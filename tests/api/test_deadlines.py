@@ -11,8 +11,8 @@ import pytest
 from running_service import RunningService
 from starlette.types import Message, Receive, Scope, Send
 
-from service import connections
 from service.api.middleware.body_deadline import BodyDeadline
+from service.connections import http as connections
 from service.errors import RequestTimeout
 from service.settings import Settings
 
