@@ -35,7 +35,7 @@ log = logging.getLogger(__name__)
 WS_MAX_SIZE = 2**20
 """Bytes of a WebSocket message; the stream says what is wrong from 64 KiB on, beyond this only a
 close frame does"""
-ACCEPTED_AT_ONCE = 16
+ACCEPTED_AT_ONCE = 8
 """Connections between two looks at the streams"""
 BACKLOG = 1024
 """Connections that the system holds until they are accepted"""

@@ -19,7 +19,7 @@ PIECE_BYTES = 4096
 """Parsed without looking at the clock: at most 700 frames of a WebSocket"""
 LINGER_S = 30.0
 """Seconds in which a refused client may go on sending before its socket is closed"""
-LINGER_BYTES = 2**30
+LINGER_BYTES_PER_S = 64 * 2**20
 """Bytes that are thrown away meanwhile"""
 QUIET_S = 2.0
 """Seconds without any of them, after which the client has had its time to read"""
@@ -82,8 +82,8 @@ class ClientSocket(asyncio.Protocol, asyncio.Transport):
         """Take bytes of the client's."""
         if self._closed:
             self._discarded += len(data)
-            if self._discarded > LINGER_BYTES:
-                self._socket.close()
+            self._socket.pause_reading()
+            self._loop.call_later(len(data) / LINGER_BYTES_PER_S, self._socket.resume_reading)
             return
         self._unread += data
         if self._waiting is None:
@@ -143,6 +143,7 @@ class ClientSocket(asyncio.Protocol, asyncio.Transport):
         self._unread.clear()
         self._socket.write_eof()
         self._lingers_until = self._loop.time() + LINGER_S
+        self._socket.resume_reading()
         self._loop.call_soon(self._part, None)
         self._linger(-1)
 
@@ -211,7 +212,6 @@ class ClientSocket(asyncio.Protocol, asyncio.Transport):
         if discarded == self._discarded or self._loop.time() >= self._lingers_until:
             self._socket.close()
             return
-        self._socket.resume_reading()
         self._waiting = self._loop.call_later(QUIET_S, self._linger, self._discarded)
 
     def _part(self, exc: Exception | None) -> None:

@@ -31,7 +31,10 @@ HEAD_BYTES = 16 * 2**10
 LINES_PER_S = 5000
 """Headers and small chunks of a body, each of which costs as much as a large chunk"""
 LINES_BURST = 2000
+LINES_PER_REQUEST = 25
+"""Lines that an answer costs as much as"""
 SMALL_BYTES = 1024
+"""Bytes of a chunk that counts as a line"""
 
 
 class RequestReader(h11.Connection):
@@ -42,7 +45,7 @@ class RequestReader(h11.Connection):
     """
 
     lines = 0
-    """Headers and small chunks so far"""
+    """Headers, small chunks and requests that were read and are not yet accounted for"""
     wrong = ""
     """What was wrong with the last request"""
 
@@ -61,7 +64,7 @@ class RequestReader(h11.Connection):
         if isinstance(event, h11.Data):
             self.lines += len(event.data) < SMALL_BYTES
         elif isinstance(event, h11.Request):
-            self.lines += len(event.headers)
+            self.lines += LINES_PER_REQUEST + len(event.headers)
             if {b"content-length", b"transfer-encoding"} <= {name for name, _ in event.headers}:
                 raise h11.RemoteProtocolError("it has both Content-Length and Transfer-Encoding")
         return event
@@ -90,9 +93,9 @@ class HttpProtocol(H11Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Take bytes of a request."""
-        before = self.conn.lines
         super().data_received(data)
-        self._lines.spend(self.conn.lines - before, self.loop.time())
+        self._lines.spend(self.conn.lines, self.loop.time())
+        self.conn.lines = 0
         self._watch()
 
     def wait_s(self) -> float:
@@ -162,8 +165,8 @@ class HttpProtocol(H11Protocol):
             headers=[*response.raw_headers, CLOSE_HEADER],
             reason=STATUS_PHRASES[response.status_code],
         )
-        for event in (head, h11.Data(data=bytes(response.body)), h11.EndOfMessage()):
-            self.transport.write(self.conn.send(event))
+        events = (head, h11.Data(data=bytes(response.body)), h11.EndOfMessage())
+        self.transport.write(b"".join(self.conn.send(event) or b"" for event in events))
 
 
 def limit_untaken(listening: socket.socket) -> None:

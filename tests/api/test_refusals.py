@@ -78,6 +78,7 @@ class Socket(asyncio.Transport):
     def __init__(self) -> None:
         super().__init__()
         self.half_closed = self.closed = False
+        self.reading = True
 
     def write_eof(self) -> None:
         self.half_closed = True
@@ -89,7 +90,10 @@ class Socket(asyncio.Transport):
         return self.closed
 
     def resume_reading(self) -> None:
-        pass
+        self.reading = True
+
+    def pause_reading(self) -> None:
+        self.reading = False
 
 
 class Refusing(asyncio.Protocol):
@@ -105,16 +109,13 @@ class Refusing(asyncio.Protocol):
         return True
 
 
-def test_a_closed_connection_is_read_for_a_bounded_time_and_volume(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_closed_connection_is_read_for_a_bounded_time_and_rate() -> None:
     class OwnClock(asyncio.SelectorEventLoop):
         now = 0.0
 
         def time(self) -> float:
             return self.now
 
-    monkeypatch.setattr(client_socket, "LINGER_BYTES", 1000)
     loop = OwnClock()
 
     async def closed(sent: list[int]) -> tuple[float, Socket, Refusing]:
@@ -144,4 +145,5 @@ def test_a_closed_connection_is_read_for_a_bounded_time_and_volume(
         assert spoken.lost  # while the client may still read
         assert seconds <= 2 * client_socket.QUIET_S
         assert run([1] * 99)[0] <= client_socket.LINGER_S + client_socket.QUIET_S
-        assert run([400] * 99)[0] <= 4.0
+        transport = run([client_socket.LINGER_BYTES_PER_S])[1]
+        assert not transport.reading
