@@ -122,6 +122,8 @@ class HttpProtocol(H11Protocol):
         """Refuse what is no request, unless an answer to it has begun."""
         if self.conn.our_state in (h11.IDLE, h11.SEND_RESPONSE):
             self._say(UploadError(f"{msg} {self.conn.wrong}".strip()))
+        if not self.idle:
+            self.cycle.disconnected = True  # the application has nothing more to say
         self.transport.close()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import socket
 from collections.abc import Iterator
 from typing import Any
@@ -59,6 +60,18 @@ def test_a_request_with_a_length_and_chunks_is_refused_and_nothing_behind_it_is_
     assert said.startswith(b"HTTP/1.1 400 ")
     assert b"both Content-Length and Transfer-Encoding" in said
     assert said.count(b"HTTP/1.1") == 1
+
+
+@pytest.mark.parametrize("media_type", [b"audio/wav", b"text/plain"])
+def test_a_body_that_cannot_be_read_is_answered_once(
+    service: RunningService, written_log: io.StringIO, media_type: bytes
+) -> None:
+    """Also where the application, which read none of it, was about to answer."""
+    head = HEAD.replace(b"audio/wav", media_type) + b"Transfer-Encoding: chunked\r\n\r\n"
+    said = answer(service.port, head + b"5\r\nabcde\r\nzz\r\n")
+    assert said.startswith(b"HTTP/1.1 400 ")
+    assert said.count(b"HTTP/1.1") == 1
+    assert "Exception" not in written_log.getvalue()
 
 
 @pytest.mark.parametrize(
