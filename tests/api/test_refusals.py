@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import io
+import select
 import socket
 from collections.abc import Iterator
 from typing import Any
@@ -18,6 +19,7 @@ from service.settings import Settings
 
 PATIENCE = 20  # seconds until a hanging test fails
 MOST = 2**20
+SHORT_S = 0.02
 HEAD = (
     b"POST /localize?array=respeaker-usb-4mic-v2 HTTP/1.1\r\nHost: x\r\nContent-Type: audio/wav\r\n"
 )
@@ -50,6 +52,29 @@ def test_a_refusal_reaches_who_sends_all_of_a_large_body(
     assert said.endswith(b'"code":"upload_too_large"}')
 
 
+@pytest.mark.parametrize(
+    ("head", "status"),
+    [
+        (HEAD, b"503"),
+        (HEAD.replace(b"audio/wav", b"text/plain"), b"503"),
+        (HEAD.replace(b"Host: x", b"Host: x\r\nOrigin: http://evil.example"), b"403"),
+        (HEAD.replace(b"/localize?", b"/nowhere?"), b"404"),
+    ],
+)
+def test_so_does_every_other_one(
+    service: RunningService, monkeypatch: pytest.MonkeyPatch, head: bytes, status: bytes
+) -> None:
+    monkeypatch.setattr(service.state.recording_workers, "admitted", 1000)
+    with socket.create_connection(("127.0.0.1", service.port), PATIENCE) as connection:
+        connection.sendall(head + b"Connection: close\r\nContent-Length: %d\r\n\r\n" % MOST)
+        for _ in range(16):  # slowly enough to be refused before the end
+            connection.sendall(bytes(MOST // 16))
+            select.select([connection], [], [], SHORT_S)
+        said = b"".join(iter(lambda: connection.recv(65536), b""))
+    assert said.startswith(b"HTTP/1.1 " + status)
+    assert said.endswith(b"}")
+
+
 def test_a_request_with_a_length_and_chunks_is_refused_and_nothing_behind_it_is_read(
     service: RunningService,
 ) -> None:
@@ -71,6 +96,7 @@ def test_a_body_that_cannot_be_read_is_answered_once(
     said = answer(service.port, head + b"5\r\nabcde\r\nzz\r\n")
     assert said.startswith(b"HTTP/1.1 400 ")
     assert said.count(b"HTTP/1.1") == 1
+    answer(service.port, b"GET /livez HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n")
     assert "Exception" not in written_log.getvalue()
 
 
