@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Any
 
 import uvicorn
 from fastapi import FastAPI
@@ -19,9 +20,14 @@ from neuralmusic.errors import ReloadRefused
 from service.api.middleware.hosts import is_loopback
 from service.api.state import ServiceState
 from service.app import create_app
-from service.connections import HttpProtocol, StreamProtocol, check_address, limit_untaken
+from service.connections.address import check_address
+from service.connections.client_socket import Reception
+from service.connections.http import HttpProtocol, limit_untaken
+from service.connections.places import Places
+from service.connections.websocket import StreamProtocol
 from service.lifecycle import Phase
-from service.observability.logs import configure_logging, server_log_level
+from service.machine.files import file_limit, out_of_files, raise_file_limit
+from service.observability.logs import RareLine, configure_logging, server_log_level
 from service.settings import Settings
 from service.startup import load_registry
 
@@ -30,6 +36,10 @@ log = logging.getLogger(__name__)
 WS_MAX_SIZE = 2**20
 """Most bytes of a WebSocket message: above 64 KiB the stream sends an error, above this only a
 close frame follows"""
+ACCEPTED_AT_ONCE = 8
+"""Most connections accepted between two looks at the streams"""
+BACKLOG = 1024
+"""Most connections that the system holds until they are accepted"""
 FAREWELL = 5
 """Seconds for the last messages of streams, and then for the answers to unfinished recordings"""
 
@@ -46,6 +56,8 @@ class Server(uvicorn.Server):
         super().__init__(config)
         self._state = state
         self._announce = announce
+        self.server_state = self._places = Places.of(state.settings, file_limit())
+        self._told = RareLine(log)
         self._reloads: set[asyncio.Task[None]] = set()
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -54,12 +66,26 @@ class Server(uvicorn.Server):
         await super().startup(sockets)
         for listening in (each for server in self.servers for each in server.sockets):
             limit_untaken(listening)
+            with socket.fromfd(listening.fileno(), listening.family, listening.type) as same:
+                same.listen(BACKLOG)  # what asyncio was told is how many it accepts at once
+        asyncio.get_running_loop().set_exception_handler(self._on_loop_error)
         with suppress(NotImplementedError, ValueError, RuntimeError):  # not on every system
             asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, self._hang_up)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGHUP})
         if self._announce and self.started:
             host, port = self.servers[0].sockets[0].getsockname()[:2]
             self._announce(f"http://{f'[{host}]' if ':' in host else host}:{port}")
+
+    def _on_loop_error(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Say once a minute that no connection can be accepted, instead of with every attempt."""
+        if out_of_files(context.get("exception")):
+            self._places.make_room()
+            self._told.warning(
+                "no connection can be accepted: %s; raise the limit of open files (ulimit -n)",
+                context["exception"],
+            )
+        else:
+            loop.default_exception_handler(context)
 
     def _hang_up(self) -> None:
         """Reload models and keys on SIGHUP, as daemons reload their configuration."""
@@ -108,6 +134,7 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
         If a worker process does not come up.
     """
     configure_logging(settings)
+    raise_file_limit()
     warn_if_open(settings)
     # uvicorn raises a signal again once it has drained, which would look like a failure. The
     # first process of a container ignores SIGTERM until it has a handler.
@@ -162,8 +189,11 @@ def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
         access_log=False,
         server_header=False,
         timeout_graceful_shutdown=math.ceil(settings.drain_grace_s) + FAREWELL,
-        http=HttpProtocol,
+        http=Reception(HttpProtocol),  # type: ignore[arg-type]
         ws=StreamProtocol,
         ws_max_size=WS_MAX_SIZE,
         ws_per_message_deflate=False,
+        backlog=ACCEPTED_AT_ONCE,
+        proxy_headers=bool(settings.proxies),
+        forwarded_allow_ips=[str(each) for each in settings.proxies],
     )

@@ -7,6 +7,7 @@ A name ends with its unit where it has one: ``_s``, ``_seconds``, ``_bytes``. Na
 
 from __future__ import annotations
 
+import ipaddress
 import os
 import re
 from collections.abc import Callable, Mapping
@@ -42,6 +43,7 @@ RENAMED = {
 """Former names of settings; a setting with one is refused with its new name"""
 
 LogLevel = Literal["critical", "error", "warning", "info", "debug"]
+IPNetwork = ipaddress.IPv4Network | ipaddress.IPv6Network
 LogFormat = Literal["text", "json"]
 
 
@@ -87,6 +89,18 @@ class Settings(BaseSettings):
     stream_workers: int = Field(default_factory=usable_cpus, ge=1, le=256)
     """Most processes that compute streams, several each, started as streams come; by default the
     usable CPUs"""
+    stream_frames_per_s: float = Field(500.0, ge=20, le=1e6)
+    """WebSocket frames read of one stream each second; a faster client waits, and one that sends
+    more than a tenth of it in pings, pongs and small fragments is disconnected"""
+    stream_bytes_per_s: float = Field(32.0 * 2**20, ge=2**16)
+    """Bytes read of one stream each second; a faster client waits"""
+    max_connections: int = Field(4096, ge=8, le=1_000_000)
+    """Most connections, and at most half of the files that may be open; idle ones make room, then
+    further ones get 503"""
+    max_connections_per_address: int = Field(1024, ge=1, le=1_000_000)
+    """Most connections of one address (IPv6: of 64 bits), at most half of all; proxies may have all"""
+    proxies: Annotated[tuple[IPNetwork, ...], NoDecode] = ()
+    """Addresses or networks of proxies whose X-Forwarded-For is believed, by commas; * for all"""
     stream_buffer_s: float = Field(0.5, ge=0.05, le=60)
     """Most seconds of a stream's audio that wait; older audio is dropped"""
     idle_timeout_s: float = Field(30.0, gt=0, le=86_400)
@@ -126,6 +140,14 @@ class Settings(BaseSettings):
         if not isinstance(value, str):
             return value
         return tuple(part.strip() for part in value.split(",") if part.strip())
+
+    @field_validator("proxies", mode="before")
+    @classmethod
+    def _read_networks(cls, value: object) -> object:
+        if not isinstance(value, str):
+            return value
+        listed = value.replace("*", "0.0.0.0/0, ::/0").split(",")
+        return tuple(ipaddress.ip_network(each.strip()) for each in listed if each.strip())
 
     @field_validator("traces")
     @classmethod

@@ -22,11 +22,11 @@ DoaError
 │  └─ TooManyUploads · AudioQuota
 ├─ StreamProtocolError
 │  └─ InvalidMessage · AudioBeforeStart · MessageTooBig · StreamTimeout · SessionLimit ·
-│     TooManySessions · SubprotocolMissing
+│     TooManySessions · TooManyFrames · SubprotocolMissing
 ├─ BundleError
 │  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed · ReloadRefused
 └─ CapacityError
-   └─ Overloaded · DiskFull · NotReady · Draining · WorkerLost
+   └─ Overloaded · TooManyConnections · DiskFull · NotReady · Draining · WorkerLost
 
 ``neuralmusic.client_errors`` adds those that clients raise themselves.
 """
@@ -335,6 +335,12 @@ class TooManySessions(
     """This client, or this key, has reached its limit of sessions."""
 
 
+class TooManyFrames(
+    StreamProtocolError, code="too_many_frames", title="Too many frames", close_code=1008
+):
+    """The client sent hardly any messages, but many pings, pongs or small fragments."""
+
+
 class BundleError(DoaError, code="bundle_invalid", title="Unusable model bundle"):
     """A model bundle cannot be used."""
 
@@ -369,6 +375,10 @@ class CapacityError(
 
 class Overloaded(CapacityError, code="overloaded", title="Overloaded"):
     """Every worker is busy and the queue is full."""
+
+
+class TooManyConnections(CapacityError, code="too_many_connections", title="Too many connections"):
+    """The service has as many connections, or files open, as it may."""
 
 
 class DiskFull(CapacityError, code="disk_full", title="Disk full"):

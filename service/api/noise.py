@@ -16,6 +16,7 @@ from neuralmusic.errors import (
     NoiseProfileInvalid,
     NoiseStoreFull,
     RequestTimeout,
+    TooManyConnections,
     UnknownNoise,
     UploadTooLarge,
 )
@@ -24,6 +25,7 @@ from service.api.catalog import NOT_FOUND
 from service.api.middleware.guard import key_of
 from service.api.problems import problem_responses
 from service.api.state import state_of
+from service.api.upload import unstored
 from service.inference.noise_profile import MAX_BYTES, load_noise, noise_bytes
 from service.inference.noise_store import NoiseStore, StoredNoise
 from service.recordings.answers import Answer
@@ -101,6 +103,7 @@ async def get_noise(request: Request, name: Name) -> Response:
         RequestTimeout,
         UploadTooLarge,
         DiskFull,
+        TooManyConnections,
     ),
     openapi_extra={"requestBody": {"required": True, "content": {MEDIA_TYPE: BINARY}}},
 )
@@ -121,7 +124,7 @@ async def put_noise(request: Request, name: Name) -> NoiseAnswer:
             try:
                 return state.noise.put(name, noise)
             except OSError as error:
-                raise DiskFull("there is no room to store the profile: try again later") from error
+                raise unstored(error, "profile") from error
 
         return NoiseAnswer.of(await anyio.to_thread.run_sync(keep, limiter=state.noise_checks))
 

@@ -18,6 +18,7 @@ from neuralmusic.errors import (
     DoaError,
     StreamTimeout,
     SubprotocolMissing,
+    TooManyFrames,
     TooManySessions,
 )
 from neuralmusic.protocol import SUBPROTOCOL
@@ -43,11 +44,6 @@ TICK_S = 1.0
 """Seconds between ticks of a session"""
 SEND_TIMEOUT_S = 10.0
 """Seconds within which a client must read something"""
-MESSAGES_PER_S = 500
-"""Most messages a second read from one client; the rest wait, so that other clients need not"""
-PAUSE_S = 0.05
-BURST = 1000
-"""Most messages above that rate after a quiet time"""
 
 DROPPABLE = (*RESULTS, Stats)
 """Messages that describe the present: old ones make room for new ones"""
@@ -64,11 +60,12 @@ async def stream(websocket: WebSocket) -> None:
         try:
             _check_handshake(websocket, state)
             held.enter_context(state.keys.session(key))
+            # It takes its place before it is accepted, so that two cannot take the last one.
+            connection = Connection(websocket, state, key)
         except DoaError as error:
             await websocket.send_denial_response(problem_response(error))
             return
-        # The stream takes its place before it is accepted, so that two cannot take the last one.
-        await Connection(websocket, state, key).run()
+        await connection.run()
 
 
 def _check_handshake(websocket: WebSocket, state: ServiceState) -> None:
@@ -199,21 +196,15 @@ class Connection:
         self._entry.observe(message)
 
     async def _read(self) -> None:
-        allowance, since = float(BURST), self._loop.time()
         while True:
             await self._room.wait()
-            if allowance < 1:
-                await asyncio.sleep(PAUSE_S)
-                now = self._loop.time()
-                allowance = min(BURST, allowance + (now - since) * MESSAGES_PER_S)
-                since = now
-                continue
-            allowance -= 1
             try:
                 received = await self._websocket.receive()
             except RuntimeError:  # starlette's, after the disconnect was received
                 return
             if received["type"] == "websocket.disconnect":
+                if received["code"] == CloseCode.POLICY:  # the connection's own
+                    self.session.fail(TooManyFrames(received["reason"]))
                 return
             self.act(partial(self._received, received))
 

@@ -18,9 +18,11 @@ from neuralmusic.errors import (
     DoaError,
     InvalidOption,
     MissingAudio,
+    TooManyConnections,
     UnsupportedMediaType,
     UploadError,
 )
+from service.machine.files import TOO_MANY_FILES, out_of_files
 
 FIELD = "audio"
 MAX_FIELDS = 32
@@ -67,7 +69,7 @@ async def read_upload(request: Request) -> AsyncIterator[Upload]:
         If the body holds no recording.
     UploadTooLarge
         If the body exceeds the limit while it is read.
-    DiskFull
+    DiskFull, TooManyConnections
         If the body cannot be stored.
     """
     request = Pieces(request.scope, request.receive)
@@ -80,10 +82,17 @@ async def read_upload(request: Request) -> AsyncIterator[Upload]:
             upload.file.fileno()
             upload.file.flush()
         except OSError as error:
-            raise DiskFull("there is no room to store the upload: try again later") from error
+            raise unstored(error, "upload") from error
         if not size:
             raise MissingAudio(f"the recording is empty (0 bytes): {HOW}")
         yield upload
+
+
+def unstored(error: OSError, what: str) -> DoaError:
+    """Why something that a client sent cannot be kept."""
+    if out_of_files(error):
+        return TooManyConnections(TOO_MANY_FILES)
+    return DiskFull(f"there is no room to store the {what}: try again later")
 
 
 def _media_type(request: Request) -> str:

@@ -9,6 +9,7 @@ import json
 import logging
 import re
 import sys
+import time
 from contextvars import ContextVar
 from datetime import UTC, datetime
 from typing import Any
@@ -26,6 +27,7 @@ SAID = ("method", "path", "status", "reason")
 HIDDEN = "[hidden]"
 _KEYS = re.compile(r"(bearer[ .:=]+)[A-Za-z0-9._~+/=-]+", re.IGNORECASE)
 """Keys as clients send them: ``Authorization: Bearer KEY`` and the subprotocol ``bearer.KEY``"""
+_PLAIN = re.compile(r"[^\s\"=\\]*")
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 _OWN = frozenset({*logging.makeLogRecord({}).__dict__, "message", "taskName", "color_message"})
 """Attributes of every log record; further ones are fields of the line"""
@@ -78,6 +80,25 @@ def _fields(record: logging.LogRecord) -> dict[str, Any]:
     return {name: value for name, value in record.__dict__.items() if name not in _OWN}
 
 
+class RareLine:
+    """A warning that whoever attacks can cause at will: written once a minute."""
+
+    def __init__(self, log: logging.Logger, every_s: float = 60.0) -> None:
+        self._log = log
+        self._every_s = every_s
+        self._next = 0.0
+        self._unsaid = 0
+
+    def warning(self, text: str, *values: object) -> None:
+        """Write it with how often it was not, or count it."""
+        now = time.monotonic()
+        if now < self._next:
+            self._unsaid += 1
+            return
+        self._log.warning(text + " (%d more since the last such line)", *values, self._unsaid)
+        self._next, self._unsaid = now + self._every_s, 0
+
+
 class WorkerFormatter(logging.Formatter):
     """Lines that name their process where it is a worker."""
 
@@ -111,12 +132,18 @@ class TextFormatter(WorkerFormatter):
     def format(self, record: logging.LogRecord) -> str:
         clock = f"{self.formatTime(record, '%H:%M:%S')}.{record.msecs:03.0f}"
         named = {**_ids(self._worker), **_fields(record)}
-        told = " ".join(f"{name}={value}" for name, value in named.items() if name not in SAID)
+        told = " ".join(f"{key}={_quoted(each)}" for key, each in named.items() if key not in SAID)
         line = f"{clock} {record.levelname:<8} {record.getMessage().strip()}  {told}".rstrip()
         line = one_line(line)
         if record.exc_info:
             line += "\n" + self.formatException(record.exc_info)
         return _without_keys(line)
+
+
+def _quoted(value: object) -> str:
+    """A value that no other field can be read out of."""
+    text = str(value)
+    return text if _PLAIN.fullmatch(text) else json.dumps(text, ensure_ascii=False)
 
 
 def one_line(text: str) -> str:

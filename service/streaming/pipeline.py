@@ -29,6 +29,7 @@ from service.inference.results import WindowEstimate
 from service.inference.stream import stream_localizer_of
 from service.streaming.buffer import Piece
 from service.streaming.clock import StreamClock
+from service.streaming.history import LAST_TIME
 
 RESAMPLING = "MQ"
 """Quality of soxr: 6 ms of delay where its HQ takes 33 ms"""
@@ -266,7 +267,8 @@ class StreamPipeline:
             return None
         position, captured = self._captured
         frames = end * self._ratio - position
-        return captured + round(frames * NANOSECONDS / self._plan.audio.sample_rate)
+        captured += round(frames * NANOSECONDS / self._plan.audio.sample_rate)
+        return max(-LAST_TIME, min(captured, LAST_TIME))
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,8 @@ from running_service import RunningService
 from starlette.types import Message, Receive, Scope, Send
 
 from neuralmusic.errors import RequestTimeout
-from service import connections
 from service.api.middleware.body_deadline import BodyDeadline
+from service.connections import http as connections
 from service.settings import Settings
 
 PATIENCE = 20  # seconds until a hanging test fails

@@ -93,6 +93,7 @@ def test_every_error_of_storing_noise_is_documented_with_its_status(document: An
         (413, "upload_too_large"),
         (422, "noise_invalid"),
         (422, "option_invalid"),
+        (503, "too_many_connections"),
         (503, "disk_full"),
     }
 

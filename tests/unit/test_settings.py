@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from ipaddress import ip_network
 from pathlib import Path
 from typing import Any
 
@@ -133,6 +134,7 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
     examples = {"host": "::1", "models": "/m", "default_model": "w", "log_level": "debug"}
     examples |= {"log_format": "json", "traces": "http://collector:4318"}
     examples |= {"hosts": "robot.local, doa.example", "keys": "/k"}
+    examples |= {"proxies": "10.0.0.0/8, 192.0.2.1", "stream_bytes_per_s": "65536"}
     examples |= {"noise_folder": "/n", "stream_buffer_s": "2.5", "origins": "http://a,http://b"}
     for name, field in Settings.model_fields.items():
         assert field.description, name
@@ -157,6 +159,11 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
         "max_sessions": 2048,
         "max_sessions_per_client": 2048,
         "stream_workers": 5,
+        "stream_frames_per_s": 2048.0,
+        "stream_bytes_per_s": 65536.0,
+        "max_connections": 2048,
+        "max_connections_per_address": 2048,
+        "proxies": (ip_network("10.0.0.0/8"), ip_network("192.0.2.1")),
         "stream_buffer_s": 2.5,
         "idle_timeout_s": 2048.0,
         "max_session_s": 2048.0,

@@ -14,7 +14,7 @@ class CloseCode(IntEnum):
 
     DONE = 1000
     BINARY_BEFORE_START = 1003
-    ORIGIN = 1008
+    POLICY = 1008
     TOO_BIG = 1009
     INTERNAL = 1011
     DRAINING = 1012
@@ -29,7 +29,7 @@ class CloseCode(IntEnum):
 REASONS: Mapping[CloseCode, str] = {
     CloseCode.DONE: "`stop` was answered",
     CloseCode.BINARY_BEFORE_START: "audio came before `start`",
-    CloseCode.ORIGIN: "the page's origin is not on the list",
+    CloseCode.POLICY: "the page's origin is not on the list, or hardly a frame held a message",
     CloseCode.TOO_BIG: "a message was larger than 64 KiB",
     CloseCode.INTERNAL: "the service failed",
     CloseCode.DRAINING: "the service is shutting down",

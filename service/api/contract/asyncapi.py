@@ -30,6 +30,7 @@ from neuralmusic.errors import (
     Overloaded,
     RoleMissing,
     SubprotocolMissing,
+    TooManyConnections,
     TooManySessions,
 )
 from neuralmusic.protocol import MAX_MESSAGE_BYTES, SUBPROTOCOL
@@ -64,6 +65,7 @@ HANDSHAKE_ERRORS: tuple[type[DoaError], ...] = (
     TooManySessions,
     AudioQuota,
     Overloaded,
+    TooManyConnections,
     NotReady,
     Draining,
 )

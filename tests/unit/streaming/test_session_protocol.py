@@ -167,6 +167,38 @@ def test_sequence_numbers_wrap(new_session: NewSession) -> None:
     assert not driver.all("warning")
 
 
+@pytest.mark.parametrize("first", [-(2**63), 2**63 - 1 - 50_000_000])
+def test_capture_times_stay_within_their_64_bits(new_session: NewSession, first: int) -> None:
+    driver = new_session()
+    driver.send(start(method="norm_music", audio={"header": "seq_time"}))
+    for index in range(8):
+        captured = min(first + index * 50_000_000, 2**63 - 1)
+        driver.audio(stamped(index, captured, SECOND[:6400]), 10_000)
+    times = [result["capture_time_ns"] for result in driver.all("result")]
+    assert times
+    assert all(-(2**63) <= time < 2**63 for time in times)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 3e38, 1e-40])
+@pytest.mark.parametrize("method", ["neural", "norm_music", "srp_phat"])
+def test_one_sample_that_is_none_does_not_deafen_a_stream(
+    new_session: NewSession,
+    square: MicrophoneArray,
+    plane_waves: Any,
+    value: float,
+    method: str,
+) -> None:
+    speech = np.ascontiguousarray(plane_waves(square, [70.0], seconds=2.0).T, "<f4")
+    speech[6000, 1] = value
+    driver = new_session()
+    driver.send(start(method=method, audio={"encoding": "pcm_f32le"}))
+    for at in range(0, len(speech), 4000):
+        driver.audio(speech[at : at + 4000].tobytes(), 70_000)
+    last = driver.all("result")[-1]
+    assert last["t_end"] == pytest.approx(2.0)
+    assert abs(last["sources"][0]["azimuth_deg"] - 70) < 6
+
+
 def test_a_long_gap_begins_anew_and_time_goes_on(
     new_session: NewSession, square: MicrophoneArray, plane_waves: Any
 ) -> None:

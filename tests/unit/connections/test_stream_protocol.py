@@ -1,19 +1,20 @@
-"""A stream's socket is read while few messages wait, and no further."""
+"""A stream's socket is read while few messages wait, and no faster than is allowed."""
 
 from __future__ import annotations
 
 import asyncio
-import socket
 from typing import Any
 
 import pytest
 import uvicorn
-from uvicorn.server import ServerState
 from websockets.client import ClientProtocol
+from websockets.frames import Frame, Opcode
 from websockets.uri import parse_uri
 
-from neuralmusic.errors import ConfigError
-from service.connections import MESSAGES_HELD, StreamProtocol, check_address
+from neuralmusic.protocol.close_codes import CloseCode
+from service.connections.client_socket import PIECE_BYTES, ClientSocket
+from service.connections.places import Places
+from service.connections.websocket import MESSAGES_HELD, StreamProtocol
 
 MESSAGES = [bytes([number]) for number in range(3 * MESSAGES_HELD)]
 
@@ -27,10 +28,12 @@ class Socket(asyncio.Transport):
         self.pauses = 0
         self.written = b""
         self.closed = False
+        self.client_socket: ClientSocket
+        """Gets what the client sends"""
 
     def pause_reading(self) -> None:
+        self.pauses += self.reading
         self.reading = False
-        self.pauses += 1
 
     def resume_reading(self) -> None:
         self.reading = True
@@ -39,6 +42,12 @@ class Socket(asyncio.Transport):
         self.written += data
 
     def close(self) -> None:
+        self.closed = True
+
+    def write_eof(self) -> None:
+        self.closed = True  # the client reads to the end, and what it sends is thrown away
+
+    def abort(self) -> None:
         self.closed = True
 
     def is_closing(self) -> bool:
@@ -50,10 +59,12 @@ def opened(application: Any) -> tuple[StreamProtocol, Socket, ClientProtocol]:
     config = uvicorn.Config(application, ws=StreamProtocol, lifespan="off", log_config=None)
     config.load()
     client, transport = ClientProtocol(parse_uri("ws://robot/")), Socket()
-    protocol = StreamProtocol(config, ServerState(), {}, asyncio.get_running_loop())
-    protocol.connection_made(transport)
+    places = Places(8, 8)
+    protocol = StreamProtocol(config, places, {}, asyncio.get_running_loop())
+    transport.client_socket = ClientSocket(protocol, places)
+    transport.client_socket.connection_made(transport)
     client.send_request(client.connect())
-    protocol.data_received(b"".join(client.data_to_send()))
+    transport.client_socket.data_received(b"".join(client.data_to_send()))
     return protocol, transport, client
 
 
@@ -79,12 +90,12 @@ async def conversation(held: bool) -> tuple[Socket, list[bytes], list[bool]]:
     for message in MESSAGES:
         found.append(transport.reading)
         client.send_binary(message)
-        protocol.data_received(b"".join(client.data_to_send()))
+        transport.client_socket.data_received(b"".join(client.data_to_send()))
         for _ in range(0 if held else 3):  # the application's turns
             await asyncio.sleep(0)
     may_read.set()
     await task
-    protocol.connection_lost(None)
+    transport.client_socket.connection_lost(None)
     return transport, received, found
 
 
@@ -120,19 +131,19 @@ async def cut_off_after_a_ping(*, says: bool, held_back: bool) -> bool:
     protocol.stop_keepalive()
     for message in MESSAGES if held_back else ():
         client.send_binary(message)
-    protocol.data_received(b"".join(client.data_to_send()))
+    transport.client_socket.data_received(b"".join(client.data_to_send()))
     protocol.ping_sent_at = asyncio.get_running_loop().time()
     if says:
         client.send_binary(b"audio")
         while asyncio.get_running_loop().time() <= protocol.ping_sent_at:
             pass  # the clock's resolution
-        protocol.data_received(b"".join(client.data_to_send()))
+        transport.client_socket.data_received(b"".join(client.data_to_send()))
     protocol.keepalive_timeout()
     closed = transport.closed
     protocol.stop_keepalive()
     over.set()
     await task
-    protocol.connection_lost(None)
+    transport.client_socket.connection_lost(None)
     return closed
 
 
@@ -156,9 +167,9 @@ async def closed_by_shutdown(*, answers: bool) -> bool:
     protocol.shutdown()
     if answers:
         client.receive_data(transport.written)
-        protocol.data_received(b"".join(client.data_to_send()))
+        transport.client_socket.data_received(b"".join(client.data_to_send()))
     closed = transport.closed
-    protocol.connection_lost(None)
+    transport.client_socket.connection_lost(None)
     return closed
 
 
@@ -168,12 +179,59 @@ def test_the_service_s_end_waits_for_the_answer_to_a_close() -> None:
     assert asyncio.run(closed_by_shutdown(answers=True))
 
 
-def test_a_taken_port_is_known_before_anything_is_loaded() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with pytest.raises(ConfigError, match=f"port {port} of 127.0.0.1 .*--port"):
-            check_address("127.0.0.1", port)
-    check_address("127.0.0.1", port)
-    check_address("localhost", 0)
-    with pytest.raises(ConfigError, match=r"host nowhere\.invalid"):
-        check_address("nowhere.invalid", port)
+FLOODS = {
+    "pings": Frame(Opcode.PING, b""),
+    "pongs": Frame(Opcode.PONG, b""),
+    "fragments": Frame(Opcode.CONT, b"a", fin=False),
+    "empty fragments": Frame(Opcode.CONT, b"", fin=False),
+    "messages": Frame(Opcode.BINARY, b"a"),
+}
+
+
+async def flooded(flood: Frame) -> tuple[int, Socket, ClientProtocol]:
+    """How many of many frames were parsed at once, and what the client heard."""
+
+    async def application(_scope: Any, receive: Any, send: Any) -> None:
+        await receive()
+        await send({"type": "websocket.accept"})
+        accepted.set()
+        while (await receive())["type"] != "websocket.disconnect":
+            pass
+
+    accepted = asyncio.Event()
+    protocol, transport, client = opened(application)
+    (task,) = protocol.tasks
+    await accepted.wait()
+    client.receive_data(transport.written)
+    transport.written = b""
+    parsed = 0
+
+    def counting(piece: bytes) -> None:
+        nonlocal parsed
+        parsed += len(piece) // len(wire)
+        parse(piece)
+
+    parse, protocol.conn.receive_data = protocol.conn.receive_data, counting  # type: ignore[method-assign]
+    wire = flood.serialize(mask=True)
+    first = Frame(Opcode.TEXT, b"a", fin=False).serialize(mask=True)
+    opening = first if flood.opcode is Opcode.CONT else b""
+    transport.client_socket.data_received(opening + 20_000 * wire)
+    for _ in range(10 * MESSAGES_HELD):  # the application's turns
+        await asyncio.sleep(0)
+    client.receive_data(transport.written)
+    transport.client_socket.connection_lost(None)
+    await task
+    return parsed, transport, client
+
+
+@pytest.mark.parametrize("flood", FLOODS)
+def test_no_flood_is_parsed_at_once(flood: str) -> None:
+    parsed, transport, client = asyncio.run(flooded(FLOODS[flood]))
+    assert parsed <= 2 * Places.stream_frames_per_s + PIECE_BYTES
+    if flood == "messages":
+        assert not transport.reading
+        assert client.close_rcvd is None
+    else:
+        assert client.close_rcvd is not None
+        assert client.close_rcvd.code == CloseCode.POLICY
+        assert "small fragments" in client.close_rcvd.reason
