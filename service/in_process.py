@@ -9,7 +9,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from neuralmusic.errors import AudioError
+from neuralmusic.errors import ChannelMismatch, InvalidOption, UnsupportedSampleRate
+from neuralmusic.protocol.client_messages import MAX_SAMPLE_RATE, MIN_SAMPLE_RATE
 from neuralmusic.protocol.methods import Method
 from neuralmusic.recordings.form import Array, Sectors, form_fields
 from service.machine.environment import disable_telemetry
@@ -116,7 +117,10 @@ def _registry() -> BundleRegistry:
 
 def _file(recording: Any, sample_rate: int | None) -> Path | BinaryIO:
     """The recording as a path or a file; an array becomes a WAV file in memory."""
-    if isinstance(recording, str | Path):
+    is_path = isinstance(recording, str | Path)
+    if sample_rate is not None and (is_path or hasattr(recording, "read")):
+        raise InvalidOption("a file has its own sample_rate: give one for an array only")
+    if is_path:
         return Path(recording)
     if hasattr(recording, "read"):
         file: BinaryIO = recording
@@ -124,13 +128,31 @@ def _file(recording: Any, sample_rate: int | None) -> Path | BinaryIO:
     import numpy as np
     import soundfile
 
-    samples = np.asarray(recording)
-    if sample_rate is None:
-        raise AudioError("give the sample_rate of an array, in hertz")
+    samples, rate = np.asarray(recording), _rate(sample_rate)
+    if samples.ndim == 2 and samples.shape[0] < samples.shape[1]:
+        raise ChannelMismatch(
+            f"samples have the shape {samples.shape}, but the channels come last, (T, N): "
+            "transpose the array"
+        )
     if samples.dtype not in (np.int16, np.int32):
         samples = samples.astype(np.float32)
     kind = {"i2": "PCM_16", "i4": "PCM_32", "f4": "FLOAT"}[samples.dtype.str[1:]]
     wav = BytesIO()
-    soundfile.write(wav, samples, sample_rate, format="WAV", subtype=kind)
+    soundfile.write(wav, samples, rate, format="WAV", subtype=kind)
     wav.seek(0)
     return wav
+
+
+def _rate(sample_rate: int | None) -> int:
+    """The sample rate of an array, a whole number of hertz."""
+    import numpy as np
+
+    if sample_rate is None:
+        raise UnsupportedSampleRate("give the sample_rate of an array, in hertz")
+    whole = isinstance(sample_rate, int | float | np.integer) and sample_rate == int(sample_rate)
+    if not whole or not MIN_SAMPLE_RATE <= sample_rate <= MAX_SAMPLE_RATE:
+        raise UnsupportedSampleRate(
+            f"the sample_rate is {MIN_SAMPLE_RATE} to {MAX_SAMPLE_RATE} hertz, a whole number, but "
+            f"{sample_rate!r} was given"
+        )
+    return int(sample_rate)

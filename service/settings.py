@@ -98,7 +98,7 @@ class Settings(BaseSettings):
     """Most connections, and at most half of the files that may be open; idle ones make room, then
     further ones get 503"""
     max_connections_per_address: int = Field(1024, ge=1, le=1_000_000)
-    """Most connections of one address (IPv6: of 64 bits), at most half of all; proxies may have all"""
+    """Most connections of one address (IPv6: a /64), at most half of all; proxies may have all"""
     proxies: Annotated[tuple[IPNetwork, ...], NoDecode] = ()
     """Addresses or networks of proxies whose X-Forwarded-For is believed, by commas; * for all"""
     stream_buffer_s: float = Field(0.5, ge=0.05, le=60)

@@ -1,7 +1,7 @@
-"""What a request may keep the service waiting for, and how fast it is read.
+"""Deadlines of requests, and how fast they are read.
 
-uvicorn itself waits for ever. A request's head has a deadline (slow-loris), and so has what a peer
-does not take, by the system's own timer. A request's body has one in
+uvicorn itself waits for ever. Here a request's head has a deadline (slow-loris), and so has data
+that a peer does not acknowledge, by the system's own timer. A request's body has one in
 ``service.api.middleware.body_deadline``, a stream's messages in ``service.streaming.session``.
 """
 
@@ -22,19 +22,19 @@ from service.api.problems import problem_response
 from service.connections.allowance import Allowance
 
 HEAD_TIMEOUT_S = 10.0
-"""From the connection, or from a further request's first byte, to the end of a request's head"""
+"""Seconds for a request's head, from the connection or a further request's first byte"""
 UNTAKEN_TIMEOUT_S = 20
-"""In which a peer must acknowledge some of what waits for it: behind a cut network, or a client
-that never reads, a socket and its session would else stay for a quarter of an hour or for ever"""
+"""Seconds within which a peer must acknowledge data; behind a cut network, or with a client that
+never reads, a socket and its session would else stay for a quarter of an hour or for ever"""
 HEAD_BYTES = 16 * 2**10
 """Largest head of a request"""
 LINES_PER_S = 5000
-"""Headers and small chunks of a body, each of which costs as much as a large chunk"""
+"""Headers and small chunks of a body per second; each costs as much as a large chunk"""
 LINES_BURST = 2000
 LINES_PER_REQUEST = 25
-"""Lines that an answer costs as much as"""
+"""Lines that cost as much as an answer"""
 SMALL_BYTES = 1024
-"""Bytes of a chunk that counts as a line"""
+"""Bytes below which a chunk counts as a line"""
 
 
 class RequestReader(h11.Connection):

@@ -32,7 +32,7 @@ class StreamProtocol(WebSocketsSansIOProtocol):
     """
 
     _heard = 0.0
-    """When something came, by the loop's clock"""
+    """Loop time at which data last arrived"""
 
     def __init__(
         self,

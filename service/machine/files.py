@@ -8,7 +8,7 @@ from contextlib import suppress
 
 TOO_MANY_FILES = "the service has as many files open as it may: try again later"
 UNLIMITED = 2**20
-"""Where the system sets no limit"""
+"""Limit to assume if the system sets none"""
 
 
 def file_limit() -> int:

@@ -12,7 +12,7 @@ import pytest
 import soundfile
 from command_line import run
 
-from neuralmusic.errors import AudioError, InvalidOption
+from neuralmusic.errors import AudioError, ChannelMismatch, InvalidOption, UnsupportedSampleRate
 from service import localize
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
@@ -69,3 +69,13 @@ def test_what_is_wrong_is_said(samples: FloatArray, square: MicrophoneArray) -> 
         localize(samples, array=square.name)
     with pytest.raises(InvalidOption, match="hop_s must be from"):
         localize(samples, RATE, array=square.name, hop_s=100)
+    with pytest.raises(ChannelMismatch, match="transpose"):
+        localize(samples.T, RATE, array=square.name)
+    for rate in (0, 16_000.5, "16000"):
+        with pytest.raises(UnsupportedSampleRate, match="whole number"):
+            localize(samples, rate, array=square.name)  # type: ignore[arg-type]
+
+
+def test_a_file_s_own_sample_rate_is_not_overruled(path: Path, square: MicrophoneArray) -> None:
+    with pytest.raises(InvalidOption, match="its own sample_rate"):
+        localize(path, 8_000, array=square.name)
