@@ -37,11 +37,13 @@ SPECTRUM = 4 * 180
 class TwoTalkers:
     """A localizer that takes no time: two sources in every window, and a spectrum."""
 
+    grid_size = 180
+
     def estimate(
         self, windows: FloatArray, num_sources: int | None, max_sources: int
     ) -> list[WindowEstimate]:
         sources = (Source(0.5, 0.9), Source(2.5, 0.8))
-        return [WindowEstimate(sources, np.ones(180, np.float32)) for _ in windows]
+        return [WindowEstimate(sources, np.ones(self.grid_size, np.float32)) for _ in windows]
 
 
 class Silent:
