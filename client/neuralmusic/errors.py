@@ -368,7 +368,7 @@ class CapacityError(
 
 
 class Overloaded(CapacityError, code="overloaded", title="Overloaded"):
-    """Every worker is busy and the queue is full."""
+    """Every worker is busy and the queue is full, or the limit of streams is reached."""
 
 
 class DiskFull(CapacityError, code="disk_full", title="Disk full"):
