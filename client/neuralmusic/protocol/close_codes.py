@@ -29,12 +29,11 @@ class CloseCode(IntEnum):
 REASONS: Mapping[CloseCode, str] = {
     CloseCode.DONE: "`stop` was answered",
     CloseCode.BINARY_BEFORE_START: "audio came before `start`",
-    CloseCode.ORIGIN: "not sent at present: a page whose origin is not on the list gets 403 at the "
-    "handshake",
+    CloseCode.ORIGIN: "unused: a page whose origin is not on the list gets 403 at the handshake",
     CloseCode.TOO_BIG: "a message was larger than 64 KiB",
     CloseCode.INTERNAL: "the service failed, or the client answered no ping and sent nothing",
     CloseCode.DRAINING: "the service is shutting down",
-    CloseCode.OVERLOADED: "not sent at present: a full service answers the handshake with 503",
+    CloseCode.OVERLOADED: "unused: a full service answers the handshake with 503",
     CloseCode.INVALID_MESSAGE: "a message was wrong; its `error` says what",
     CloseCode.UNAUTHORIZED: "the key was removed, has expired or lost its role",
     CloseCode.TIMEOUT: "nothing came, or nothing was read, for too long; after the network "

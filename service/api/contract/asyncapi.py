@@ -106,6 +106,14 @@ SESSION_ERRORS: tuple[type[DoaError], ...] = (
 )
 """Errors that end a session, in the message ``error``; any other is ``DoaError`` itself"""
 BEGIN, END = "<!-- messages: begin -->", "<!-- messages: end -->"
+OPTIONAL = (
+    "Every message has `type`. A field that is not required may be left out: it then has its "
+    "default, or in `update` the value that it had."
+)
+COMPLETE = (
+    "Every message has `type`, `seq`, which counts from 0, and all its fields; only `spectrum` can "
+    "be absent."
+)
 REFERENCE = "#/components/schemas/{model}"
 
 
@@ -202,10 +210,10 @@ def document_json() -> str:
 def tables() -> str:
     """Every message with its fields, and the close codes, as Markdown."""
     schemas = document()["components"]["schemas"]
-    lines = ["## From the client", ""]
+    lines = ["## From the client", "", OPTIONAL, ""]
     for message in CLIENT_MESSAGES:
         lines += _table(message, schemas, presence=True)
-    lines += ["## From the server", "", "Every message has `seq`, which counts from 0.", ""]
+    lines += ["## From the server", "", COMPLETE, ""]
     for message in SERVER_MESSAGES:
         lines += _table(message, schemas, presence=False)
     lines += ["## Errors", "", "### Refused handshakes", "", "| status | `code` | why |"]
