@@ -374,7 +374,7 @@ class CapacityError(
 
 
 class Overloaded(CapacityError, code="overloaded", title="Overloaded"):
-    """Every worker is busy and the queue is full."""
+    """Every worker is busy and the queue is full, or the limit of streams is reached."""
 
 
 class TooManyConnections(CapacityError, code="too_many_connections", title="Too many connections"):

@@ -179,7 +179,10 @@ class Reporter:
                 "sender or the network lost them"
             )
         else:
-            detail = f"{gap.messages} messages are missing, but the capture times show no gap"
+            detail = (
+                f"{gap.messages} messages are missing, but the capture times show no gap of up to "
+                "an hour"
+            )
         self.warn("audio_gap", detail, duration_ms=round(1000 * seconds, 1))
 
     def warn(

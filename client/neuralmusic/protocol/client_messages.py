@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Optional, Union
+from typing import Annotated, Any, Literal, Optional, Union
 
-from pydantic import Field, TypeAdapter, field_validator
+from pydantic import ConfigDict, Field, TypeAdapter, field_validator
 
 from neuralmusic.protocol.framing import SAMPLE_BYTES, Encoding, HeaderKind
 from neuralmusic.protocol.message import Message, message_type, read_message
@@ -39,10 +39,10 @@ class AudioFormat(Message):
 
 
 class ArrayChoice(Message):
-    """A preset by its name, or positions."""
+    """A preset by its name, or positions; one of the two is required."""
 
     name: Optional[Annotated[str, Field(min_length=1, max_length=MAX_LABEL)]] = None
-    """A preset's name (`GET /arrays`), or any name beside `positions_m`"""
+    """A preset's name (`GET /arrays`), or any name beside `positions_m`; required without them"""
     positions_m: Optional[Annotated[list[Position], Field(min_length=2, max_length=32)]] = None
     """Metres, `[x, y, z]` per microphone: x forward, y left, z up"""
     channel_map: Optional[Annotated[list[int], Field(min_length=1, max_length=64)]] = None
@@ -79,8 +79,15 @@ class OutputOptions(Message):
         return sectors
 
 
+def _without_defaults(schema: dict[str, Any]) -> None:
+    for field in schema["properties"].values():
+        field.pop("default", None)
+
+
 class OutputUpdate(OutputOptions):
-    """The output options to change; the others stay."""
+    """The output options to change; a field that is left out keeps its value."""
+
+    model_config = ConfigDict(json_schema_extra=_without_defaults)
 
 
 class Start(Message):
@@ -108,20 +115,20 @@ class Start(Message):
 
 
 class Update(Message):
-    """Change output options from the next result on."""
+    """Change output options from the next result on; a field that is left out keeps its value."""
 
     type: Literal["update"]
     output: OutputUpdate
 
 
 class Flush(Message):
-    """Localize the buffered audio now; a `flushed` follows the last of these results."""
+    """Localize the buffered audio now; `flushed` follows, after a result where audio was left."""
 
     type: Literal["flush"]
 
 
 class Ping(Message):
-    """Ask for a `pong`, which also keeps an idle session open."""
+    """Ask for a `pong`; unlike a WebSocket ping, it keeps an idle session open."""
 
     type: Literal["ping"]
     id: Optional[Annotated[int, Field(ge=0, le=2**53)]] = None
@@ -129,12 +136,15 @@ class Ping(Message):
 
 
 class Calibrate(Message):
-    """Learn the robot's own noise from the audio that follows; nobody may speak meanwhile."""
+    """Learn the robot's own noise from the audio that follows; nobody may speak meanwhile.
+
+    A second `calibrate` begins the first anew; a `stop` before the end discards it.
+    """
 
     type: Literal["calibrate"]
     kind: Literal["noise"]
     seconds: Annotated[float, Field(ge=1, le=60)] = 5.0
-    """Seconds of audio"""
+    """Least seconds of audio; learning ends with the next result"""
 
 
 class Stop(Message):

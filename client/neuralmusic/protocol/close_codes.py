@@ -29,14 +29,15 @@ class CloseCode(IntEnum):
 REASONS: Mapping[CloseCode, str] = {
     CloseCode.DONE: "`stop` was answered",
     CloseCode.BINARY_BEFORE_START: "audio came before `start`",
-    CloseCode.POLICY: "the page's origin is not on the list, or hardly a frame held a message",
+    CloseCode.POLICY: "many pings, pongs or small fragments came, and hardly any messages",
     CloseCode.TOO_BIG: "a message was larger than 64 KiB",
-    CloseCode.INTERNAL: "the service failed",
+    CloseCode.INTERNAL: "the service failed, or the client answered no ping and sent nothing",
     CloseCode.DRAINING: "the service is shutting down",
-    CloseCode.OVERLOADED: "the service is full",
+    CloseCode.OVERLOADED: "unused: a full service answers the handshake with 503",
     CloseCode.INVALID_MESSAGE: "a message was wrong; its `error` says what",
     CloseCode.UNAUTHORIZED: "the key was removed, has expired or lost its role",
-    CloseCode.TIMEOUT: "nothing came, or nothing was read, for too long",
+    CloseCode.TIMEOUT: "nothing came, or nothing was read, for too long; after the network "
+    "stalled, connect again",
     CloseCode.SESSION_LIMIT: "the session reached its longest duration",
     CloseCode.TOO_MANY_SESSIONS: "this client has too many sessions, or its key's audio is used up",
 }

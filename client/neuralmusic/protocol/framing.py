@@ -31,7 +31,7 @@ class FrameHeader:
     capture_time_ns: int
     """Capture time of the message's first sample frame, by the robot's clock"""
     flags: int = 0
-    """Reserved, zero"""
+    """Reserved, zero; the service ignores it"""
 
     def pack(self) -> bytes:
         """The 16 bytes of the header."""

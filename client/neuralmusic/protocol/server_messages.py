@@ -83,9 +83,10 @@ class Limits(Part):
 
     max_message_bytes: int
     buffer_ms: int
-    """Most milliseconds of audio that wait; older audio is dropped"""
+    """Most milliseconds of audio that wait, `interval_ms` included; older audio is dropped. An
+    `update` of `interval_ms` changes it by as much"""
     idle_timeout_s: float
-    """Seconds without any message after which the session ends"""
+    """Seconds without any binary or text message after which the session ends"""
     max_session_s: float
     """Longest session in seconds"""
 
@@ -148,17 +149,19 @@ class Result(ServerMessage):
     t_end: float
     """Seconds of audio from the session's start to the window's end"""
     capture_time_ns: Optional[int] = None
-    """Capture time of `t_end`, where the audio has `seq_time` headers"""
+    """Capture time of `t_end`; null where the audio has no `seq_time` headers"""
     sources: list[StreamSource]
     """Most confident first; empty in silence"""
     why_no_source: Optional[WhyNoSource] = None
-    """Why `sources` is empty"""
+    """Why `sources` is empty; null where it is not"""
     spectrum: Optional[list[float]] = None
-    """Spatial spectrum at 0, 1, ... 359 degrees, yaw offset included, at most 1"""
+    """Spatial spectrum at 0, 1, ... 359 degrees, yaw offset included, at most 1; absent, not null,
+    unless `include` names it"""
     lag_ms: float
     """Milliseconds between the arrival of the window's last audio and this result"""
     final: bool = False
-    """The last result before `flushed` or `summary`"""
+    """True for a result that `flush` or `stop` gave before it was due. There is none where no audio
+    was left: wait for `flushed` or `summary`"""
 
 
 class OdasPotential(Part):
@@ -211,22 +214,23 @@ class StreamWarning(ServerMessage):
     channels: tuple[int, ...] = ()
     """Channels of the stream that are concerned"""
     duration_ms: Optional[float] = None
-    """Milliseconds of dropped or missing audio"""
+    """Milliseconds of dropped audio since the last `audio_dropped`, or of missing audio"""
 
 
 class Stats(ServerMessage):
-    """Figures of the session, every few seconds."""
+    """Figures of the session so far, every 5 s of audio."""
 
     type: Literal["stats"] = "stats"
     audio_s: float
-    """Seconds of audio received"""
+    """Seconds of audio received, dropped audio included, gaps excluded"""
     results: int
+    """Number of results, those included that the client did not read in time"""
     dropped_s: float
-    """Seconds of audio dropped because the server or the network was too slow"""
+    """Seconds of audio dropped because the server or the network was too slow: the total"""
     gap_s: float
-    """Seconds of audio missing by the sequence numbers"""
+    """Seconds of audio missing by the sequence numbers and capture times"""
     results_dropped: int
-    """Results that the client did not read in time"""
+    """Results and `stats` that the client did not read in time"""
     lag_ms: float
     """Mean lag of the results since the last `stats`"""
     buffered_ms: float
@@ -238,7 +242,7 @@ class Flushed(ServerMessage):
 
     type: Literal["flushed"] = "flushed"
     t_end: float
-    """Seconds of audio from the session's start"""
+    """Seconds of audio from the session's start to the last result's end"""
 
 
 class Pong(ServerMessage):
@@ -246,6 +250,7 @@ class Pong(ServerMessage):
 
     type: Literal["pong"] = "pong"
     id: Optional[int] = None
+    """Number of the `ping`; null where it had none"""
 
 
 class Calibrated(ServerMessage):
@@ -257,6 +262,7 @@ class Calibrated(ServerMessage):
     """Client's name under which the calibration is stored (`GET /noise/{name}`); null where `start`
     names no client: the calibration then ends with the session"""
     seconds: float
+    """Seconds of noise learnt"""
 
 
 class StreamError(ServerMessage):
@@ -264,7 +270,7 @@ class StreamError(ServerMessage):
 
     type: Literal["error"] = "error"
     code: str
-    """Stable identifier for programs; `docs/errors.md` lists them"""
+    """Stable identifier for programs, such as `message_invalid`"""
     title: str
     detail: str
     """What happened, and what to do"""
@@ -301,9 +307,13 @@ class Summary(ServerMessage):
 
     type: Literal["summary"] = "summary"
     audio_s: float
+    """Seconds of audio received, dropped audio included, gaps excluded"""
     results: int
+    """Number of results, those included that the client did not read in time"""
     dropped_s: float
+    """Seconds of audio dropped because the server or the network was too slow: the total"""
     gap_s: float
+    """Seconds of audio missing by the sequence numbers and capture times"""
     sources: list[TrackSummary]
     """The last 256 sources, longest heard first"""
     warnings: dict[str, int]

@@ -17,21 +17,36 @@ from pydantic.json_schema import models_json_schema
 
 from neuralmusic import __version__
 from neuralmusic.errors import (
+    UNEXPECTED,
+    AudioBeforeStart,
     AudioQuota,
+    ChannelMismatch,
     DoaError,
     Draining,
+    GeometryMismatch,
     HostRefused,
+    InvalidChannelMap,
+    InvalidGeometry,
+    InvalidMessage,
+    InvalidOption,
     KeyExpired,
     KeyInAddress,
     KeyMissing,
     KeyUnknown,
+    MessageTooBig,
     NotReady,
     OriginRefused,
     Overloaded,
     RoleMissing,
+    SessionLimit,
+    StreamTimeout,
     SubprotocolMissing,
     TooManyConnections,
     TooManySessions,
+    TooManySources,
+    UnknownArray,
+    UnknownModel,
+    WorkerLost,
 )
 from neuralmusic.protocol import MAX_MESSAGE_BYTES, SUBPROTOCOL
 from neuralmusic.protocol.client_messages import CLIENT_MESSAGES
@@ -70,7 +85,37 @@ HANDSHAKE_ERRORS: tuple[type[DoaError], ...] = (
     Draining,
 )
 """Errors that refuse a handshake, as a problem document before the connection is accepted"""
+SESSION_ERRORS: tuple[type[DoaError], ...] = (
+    AudioBeforeStart,
+    MessageTooBig,
+    WorkerLost,
+    InvalidMessage,
+    UnknownArray,
+    InvalidGeometry,
+    InvalidChannelMap,
+    ChannelMismatch,
+    UnknownModel,
+    GeometryMismatch,
+    InvalidOption,
+    TooManySources,
+    KeyUnknown,
+    KeyExpired,
+    RoleMissing,
+    StreamTimeout,
+    SessionLimit,
+    TooManySessions,
+    AudioQuota,
+)
+"""Errors that end a session, in the message ``error``; any other is ``DoaError`` itself"""
 BEGIN, END = "<!-- messages: begin -->", "<!-- messages: end -->"
+OPTIONAL = (
+    "Every message has `type`. A field that is not required may be left out: it then has its "
+    "default, or in `update` the value that it had."
+)
+COMPLETE = (
+    "Every message has `type`, `seq`, which counts from 0, and all its fields; only `spectrum` can "
+    "be absent."
+)
 REFERENCE = "#/components/schemas/{model}"
 
 
@@ -136,7 +181,11 @@ def _reference(kind: str, name: str) -> dict[str, str]:
 
 def _refusal(error: type[DoaError]) -> dict[str, Any]:
     """A problem document that may answer the handshake, as an extension: AsyncAPI has no place."""
-    return {"status": error.status, "code": error.code, "summary": _text(error.__doc__ or "")}
+    return {"status": error.status, "code": error.code, "summary": _why(error)}
+
+
+def _why(error: type[DoaError]) -> str:
+    return _text(error.__doc__ or "")
 
 
 def _message(message: type[Message]) -> dict[str, Any]:
@@ -163,40 +212,58 @@ def document_json() -> str:
 def tables() -> str:
     """Every message with its fields, and the close codes, as Markdown."""
     schemas = document()["components"]["schemas"]
-    lines = ["## From the client", ""]
+    lines = ["## From the client", "", OPTIONAL, ""]
     for message in CLIENT_MESSAGES:
-        lines += _table(message, schemas)
-    lines += ["## From the server", "", "Every message has `seq`, which counts from 0.", ""]
+        lines += _table(message, schemas, presence=True)
+    lines += ["## From the server", "", COMPLETE, ""]
     for message in SERVER_MESSAGES:
-        lines += _table(message, schemas)
+        lines += _table(message, schemas, presence=False)
+    lines += ["## Errors", "", "### Refused handshakes", "", "| status | `code` | why |"]
+    lines.append("|---|---|---|")
+    lines += [f"| {e.status} | `{e.code}` | {_why(e)} |" for e in HANDSHAKE_ERRORS]
+    lines += ["", "### Errors of a session", "", "| close code | `code` | why | retry |"]
+    lines.append("|---|---|---|---|")
+    for error in SESSION_ERRORS:
+        retry = "yes" if error.retryable else ""
+        lines.append(f"| {error.close_code} | `{error.code}` | {_why(error)} | {retry} |")
+    lines += [f"| {DoaError.close_code} | `{DoaError.code}` | {UNEXPECTED.capitalize()}. |  |", ""]
     lines += ["## Close codes", "", "| code | why | retry |", "|---|---|---|"]
     for code in CloseCode:
         lines.append(f"| {code} | {REASONS[code]} | {'yes' if code in RETRYABLE else ''} |")
     return "\n".join([*lines, ""])
 
 
-def _table(message: type[Message], schemas: Mapping[str, Any]) -> list[str]:
+def _table(message: type[Message], schemas: Mapping[str, Any], *, presence: bool) -> list[str]:
+    """One message's heading and fields; with ``presence`` also which fields may be left out."""
     heading = [f"### `{message_type(message)}`", "", _text(message.__doc__ or ""), ""]
-    rows = list(_rows(schemas[message.__name__], schemas))
+    rows = list(_rows(schemas[message.__name__], schemas, presence))
     if not rows:
         return heading
     return [*heading, "| field | type | meaning |", "|---|---|---|", *rows, ""]
 
 
-def _rows(schema: Mapping[str, Any], schemas: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+def _rows(
+    schema: Mapping[str, Any], schemas: Mapping[str, Any], presence: bool, prefix: str = ""
+) -> Iterator[str]:
     for name, field in schema.get("properties", {}).items():
         if name in ("type", "seq") and not prefix:
             continue
-        required = name in schema.get("required", ()) or "default" not in field
-        default = "" if required else f", default `{json.dumps(field['default'])}`"
         kind, parts = _kind(field, schemas)
-        if isinstance(field.get("default"), dict):
-            default = ""
+        given = _presence(field, name in schema.get("required", ())) if presence else ""
         meaning = _text(field.get("description", ""))
-        yield f"| `{prefix}{name}` | {kind}{default} | {meaning} |"
+        yield f"| `{prefix}{name}` | {kind}{given} | {meaning} |"
         if parts is not None:
             brackets = "[]" if kind.startswith("list") else ""
-            yield from _rows(parts, schemas, f"{prefix}{name}{brackets}.")
+            yield from _rows(parts, schemas, presence, f"{prefix}{name}{brackets}.")
+
+
+def _presence(field: Mapping[str, Any], required: bool) -> str:
+    """Whether a client must give a field, and what it is otherwise."""
+    if required:
+        return ", required"
+    if "default" not in field or isinstance(field["default"], dict):
+        return ", optional"
+    return f", default `{json.dumps(field['default'])}`"
 
 
 def _kind(

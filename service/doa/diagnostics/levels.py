@@ -122,7 +122,7 @@ def _non_finite(levels: ChannelLevels, names: Sequence[int]) -> list[Finding]:
         return []
     detail = (
         f"{int(levels.non_finite.sum())} samples of {channel_list(channels)} are NaN or infinite: "
-        f"find the program that wrote them, the file cannot be localized"
+        f"find the program that wrote them; a stream takes them as 0, a recording is refused"
     )
     return [Finding("non_finite", detail, channels)]
 
