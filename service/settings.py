@@ -89,10 +89,10 @@ class Settings(BaseSettings):
     stream_workers: int = Field(default_factory=usable_cpus, ge=1, le=256)
     """Most processes that compute streams, several each, started as streams come; by default the
     usable CPUs"""
-    stream_frames_per_s: float = Field(500.0, ge=20, le=1e6)
+    stream_frames_per_s: int = Field(500, ge=20, le=1_000_000)
     """WebSocket frames read of one stream each second; a faster client waits, and one that sends
     more than a tenth of it in pings, pongs and small fragments is disconnected"""
-    stream_bytes_per_s: float = Field(32.0 * 2**20, ge=2**16)
+    stream_bytes_per_s: int = Field(32 * 2**20, ge=2**16)
     """Bytes read of one stream each second; a faster client waits"""
     max_connections: int = Field(4096, ge=8, le=1_000_000)
     """Most connections, and at most half of the files that may be open; idle ones make room, then

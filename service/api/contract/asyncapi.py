@@ -42,6 +42,7 @@ from neuralmusic.errors import (
     StreamTimeout,
     SubprotocolMissing,
     TooManyConnections,
+    TooManyFrames,
     TooManySessions,
     TooManySources,
     UnknownArray,
@@ -87,6 +88,7 @@ HANDSHAKE_ERRORS: tuple[type[DoaError], ...] = (
 """Errors that refuse a handshake, as a problem document before the connection is accepted"""
 SESSION_ERRORS: tuple[type[DoaError], ...] = (
     AudioBeforeStart,
+    TooManyFrames,
     MessageTooBig,
     WorkerLost,
     InvalidMessage,

@@ -39,7 +39,7 @@ pytestmark = pytest.mark.torch
 
 ARRAY = "respeaker-usb-4mic-v2"
 AS_RECORDED = FineTuning(
-    steps=5,
+    steps=10,
     batch_size=4,
     learning_rate=2e-3,
     augmentation=Augmentation(mixtures=0.0, noise=0.0),
