@@ -129,6 +129,10 @@ class Keys:
         """Count seconds of audio of this key; safe to call from any thread."""
         self._used(key).charge(seconds, key.audio_seconds_per_hour)
 
+    def reserve(self, key: Key, seconds: float) -> None:
+        """Count seconds of audio to come, or raise AudioQuota; negative ones are given back."""
+        self._used(key).reserve(seconds, key.audio_seconds_per_hour)
+
     def check_audio(self, key: Key) -> None:
         """Raise AudioQuota where the key's seconds of audio are used up."""
         self._used(key).check_audio(key.audio_seconds_per_hour)

@@ -25,8 +25,8 @@ log = logging.getLogger(__name__)
 CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL}
 """Signals by which a faulty decoder ends a process; other signals come from outside"""
 
-Admit = Callable[[HeaderRead], None]
-"""Raises a DoaError where a recording of this length must be refused"""
+Reserve = Callable[[float], None]
+"""Reserves seconds of audio, or raises a DoaError; takes negative ones back"""
 StillWanted = Callable[[], Coroutine[Any, Any, None]]
 """Raises an exception of the caller's once nobody waits for the answer"""
 
@@ -145,21 +145,23 @@ class RecordingWorkers:
             )
 
     async def run(
-        self, job: RecordingJob, file: BinaryIO, admit: Admit, still_wanted: StillWanted
+        self, job: RecordingJob, file: BinaryIO, reserve: Reserve, still_wanted: StillWanted
     ) -> Localized:
         """Localize a recording once a worker is free.
 
         The job ends once nobody waits for it: a robot that times out and retries would otherwise
-        pile up work. Exceptions of ``admit`` and ``still_wanted`` pass through.
+        pile up work. Exceptions of ``reserve`` and ``still_wanted`` pass through.
         """
-        audio_s = 0.0
+        audio_s = share = 0.0
 
         def check(message: Report) -> None:
-            nonlocal audio_s
+            nonlocal audio_s, share
             self._lifecycle.check(Phase.ENDING)
             if isinstance(message, HeaderRead):
+                reserve(message.duration)
                 audio_s = message.duration
-                admit(message)
+            else:
+                share = message.share
             anyio.from_thread.run(still_wanted)
 
         self.check()
@@ -169,6 +171,9 @@ class RecordingWorkers:
             localized = await anyio.to_thread.run_sync(
                 self._localize, job, file, check, limiter=self._limiter
             )
+        except BaseException:
+            reserve(-audio_s * (1 - share))
+            raise
         finally:
             self.admitted -= 1
         self._count(localized, audio_s, time.monotonic() - came)
