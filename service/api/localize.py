@@ -46,7 +46,7 @@ async def localize(request: Request) -> Response:
     state.admit()
     state.recording_workers.check()
     with state.keys.upload(key):
-        async with read_upload(request) as upload:
+        async with read_upload(request, state.spool) as upload:
             asked = await _with_noise(read_options(upload.options), state)
             job = RecordingJob(asked, state.audio_limits, request_id.get())
             with state.traces.span("localize"):

@@ -12,6 +12,7 @@ from fastapi import Request
 
 from neuralmusic.errors import DoaError, NotReady, ReloadRefused
 from service.access.keys import Keys
+from service.api.spool import Spool
 from service.audio.recording import AudioLimits
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
@@ -46,6 +47,8 @@ class ServiceState:
     traces: Traces = field(default_factory=Traces)
     noise_checks: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(1))
     """Limits checks to one at a time: the largest profile takes some hundred megabytes"""
+    spool: Spool = field(default_factory=Spool)
+    """The uploads under way"""
     keys: Keys = field(default_factory=Keys)
     """API keys; they decide who may do what"""
     _reloading: asyncio.Lock = field(default_factory=asyncio.Lock)
