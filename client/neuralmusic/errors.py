@@ -26,7 +26,7 @@ DoaError
 ├─ BundleError
 │  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed · ReloadRefused
 └─ CapacityError
-   └─ Overloaded · DiskFull · NotReady · Draining · WorkerLost
+   └─ Overloaded · DiskFull · NotReady · Draining · TooSlow · WorkerLost
 
 ``neuralmusic.client_errors`` adds those that clients raise themselves.
 """
@@ -374,6 +374,10 @@ class NotReady(CapacityError, code="not_ready", title="Not ready"):
 
 class Draining(CapacityError, code="draining", title="Shutting down", close_code=1012):
     """The service is shutting down."""
+
+
+class TooSlow(CapacityError, code="too_slow", title="Too slow"):
+    """Localizing the recording took longer than the recording lasts, and was stopped."""
 
 
 class WorkerLost(CapacityError, code="worker_lost", title="Worker lost", close_code=1011):

@@ -13,7 +13,7 @@ import anyio
 import anyio.from_thread
 import anyio.to_thread
 
-from neuralmusic.errors import DecodingFailed, DoaError, Overloaded, WorkerLost
+from neuralmusic.errors import DecodingFailed, DoaError, Overloaded, TooSlow, WorkerLost
 from service.lifecycle import Lifecycle, Phase
 from service.observability.metrics import Metrics
 from service.recordings.job import HeaderRead, Localized, Outcome, RecordingJob, Refused, Report
@@ -152,16 +152,17 @@ class RecordingWorkers:
         The job ends once nobody waits for it: a robot that times out and retries would otherwise
         pile up work. Exceptions of ``reserve`` and ``still_wanted`` pass through.
         """
-        audio_s = share = 0.0
+        audio_s = share = began = 0.0
 
         def check(message: Report) -> None:
-            nonlocal audio_s, share
+            nonlocal audio_s, share, began
             self._lifecycle.check(Phase.ENDING)
             if isinstance(message, HeaderRead):
                 reserve(message.duration)
-                audio_s = message.duration
+                audio_s, began = message.duration, time.monotonic()
             else:
                 share = message.share
+                self._check_time(audio_s, began)
             anyio.from_thread.run(still_wanted)
 
         self.check()
@@ -211,6 +212,15 @@ class RecordingWorkers:
                 worker.kill()
         for worker in idle:
             worker.end()
+
+    def _check_time(self, audio_s: float, began: float) -> None:
+        """Raise TooSlow where a recording takes longer than it lasts, and the stall's time."""
+        most = self._stall_s + audio_s
+        if time.monotonic() - began > most:
+            raise TooSlow(
+                f"the recording of {audio_s:.0f} s was not localized within {most:.0f} s: try "
+                "later, or with a larger hop_s, fewer microphones or a classical method"
+            )
 
     def _count(self, localized: Localized, audio_s: float, seconds: float) -> None:
         """Count a recording and the seconds until its answer."""

@@ -25,6 +25,7 @@ from neuralmusic.errors import (
     RequestTimeout,
     TooManyChannels,
     TooManySources,
+    TooSlow,
     TruncatedAudio,
     UnknownArray,
     UnknownMethod,
@@ -67,6 +68,7 @@ LOCALIZE_ERRORS: tuple[type[DoaError], ...] = (
     DiskFull,
     NotReady,
     Draining,
+    TooSlow,
     WorkerLost,
     DoaError,
 )
