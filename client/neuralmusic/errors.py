@@ -19,7 +19,7 @@ DoaError
 │  ├─ Unauthorized ─ KeyMissing · KeyUnknown · KeyExpired
 │  └─ RoleMissing · KeyInAddress · HostRefused · OriginRefused
 ├─ KeyLimitError
-│  └─ TooManyUploads · AudioQuota
+│  └─ TooManyUploads · TooManyWatchers · AudioQuota
 ├─ StreamProtocolError
 │  └─ InvalidMessage · AudioBeforeStart · MessageTooBig · StreamTimeout · SessionLimit ·
 │     TooManySessions · SubprotocolMissing
@@ -270,6 +270,10 @@ class KeyLimitError(
 
 class TooManyUploads(KeyLimitError, code="too_many_uploads", title="Too many uploads"):
     """The key has reached its limit of uploads at the same time."""
+
+
+class TooManyWatchers(KeyLimitError, code="too_many_watchers", title="Too many watchers"):
+    """The key watches its most streams at the same time."""
 
 
 class AudioQuota(KeyLimitError, code="audio_quota", title="Audio quota used up"):

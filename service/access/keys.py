@@ -17,6 +17,9 @@ from neuralmusic.errors import AccessError, KeyExpired, KeyMissing, KeyUnknown, 
 from service.access.key_file import ROLES, Key, Role, read_keys, token_sha256
 from service.access.usage import Usage
 
+MAX_WATCHERS = 64
+"""Most watchers of streams with one key, or without keys"""
+
 ANYONE = Key(name="anyone", sha256="0" * 64, roles=ROLES)
 """Stands for every client of a service without keys; everything is allowed"""
 
@@ -123,6 +126,12 @@ class Keys:
         """Hold a place for an upload of this key, or raise TooManyUploads or AudioQuota."""
         self.check_audio(key)
         with self._used(key).upload(key.max_uploads):
+            yield
+
+    @contextmanager
+    def watcher(self, key: Key) -> Iterator[None]:
+        """Hold a place for a watcher with this key, or raise TooManyWatchers."""
+        with self._used(key).watcher(MAX_WATCHERS):
             yield
 
     def charge(self, key: Key, seconds: float) -> None:

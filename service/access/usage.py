@@ -7,7 +7,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 
-from neuralmusic.errors import AudioQuota, DoaError, TooManySessions, TooManyUploads
+from neuralmusic.errors import (
+    AudioQuota,
+    DoaError,
+    TooManySessions,
+    TooManyUploads,
+    TooManyWatchers,
+)
 
 HOUR_S = 3600.0
 
@@ -48,6 +54,13 @@ class Usage:
         """Hold a place for an upload, or raise TooManyUploads."""
         refusal = TooManyUploads(f"this key has reached its limit of {most} uploads: wait for one")
         return self._place("uploads", most, refusal)
+
+    def watcher(self, most: int) -> AbstractContextManager[None]:
+        """Hold a place for somebody who watches a stream, or raise TooManyWatchers."""
+        refusal = TooManyWatchers(
+            f"{most} watchers are the most with one key, or without keys: close one"
+        )
+        return self._place("watchers", most, refusal)
 
     @contextmanager
     def _place(self, kind: str, most: int | None, refusal: DoaError) -> Iterator[None]:

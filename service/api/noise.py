@@ -89,7 +89,8 @@ async def get_noise(request: Request, name: Name) -> Response:
     """The file that `PUT` took, or that `neuralmusic noise` would have written."""
     stored = await _found(request, name)
     headers = {"Content-Disposition": f'attachment; filename="{stored.name}.npz"'}
-    return Response(noise_bytes(stored.noise), media_type=MEDIA_TYPE, headers=headers)
+    content = await anyio.to_thread.run_sync(noise_bytes, stored.noise)
+    return Response(content, media_type=MEDIA_TYPE, headers=headers)
 
 
 @router.put(

@@ -47,6 +47,8 @@ class ServiceState:
     traces: Traces = field(default_factory=Traces)
     noise_checks: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(1))
     """Limits checks to one at a time: the largest profile takes some hundred megabytes"""
+    noise_access: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(4))
+    """Limits threads in which streams wait for the store"""
     spool: Spool = field(default_factory=Spool)
     """The uploads under way"""
     keys: Keys = field(default_factory=Keys)
@@ -101,7 +103,14 @@ class ServiceState:
         self.stream_workers.setup = self.recording_workers.setup = setup
 
     async def load(self) -> None:
-        """Load the bundles unless they are loaded; raises BundleError or ConfigError."""
+        """Load the bundles, unless they are loaded, and the noise profiles.
+
+        Raises
+        ------
+        BundleError, ConfigError
+            If the bundles cannot be used.
+        """
+        await anyio.to_thread.run_sync(self.noise.all)
         if self.registry is None:
             self.install(await anyio.to_thread.run_sync(load_registry, self.settings))
 

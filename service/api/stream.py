@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from contextlib import ExitStack, suppress
+from functools import partial
 
+import anyio.to_thread
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
 from neuralmusic.errors import (
+    UNEXPECTED,
     AccessError,
     AudioQuota,
     DoaError,
@@ -27,10 +31,13 @@ from service.api.state import ServiceState
 from service.api.stream_watch import StreamWatch
 from service.machine.memory import give_back_memory
 from service.observability.logs import session_id
+from service.streaming.calibrations import keep, with_noise
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session
-from service.streaming.work import Close, Outcome
+from service.streaming.work import Close, Failed, Keep, Open, Outcome
 from service.workers.stream_pool import worker_lost
+
+log = logging.getLogger(__name__)
 
 TICK_S = 1.0
 """Seconds between ticks of a session"""
@@ -86,6 +93,10 @@ class Connection:
         self._stream_workers = state.stream_workers
         self._worker = state.stream_workers.assign()
         self._streams = state.streams
+        self._noise = state.noise
+        self._noise_access = state.noise_access
+        self._storing: asyncio.Task[None] | None = None
+        """The session's job that waits for the store of noise profiles"""
         self._most = settings.max_sessions_per_client
         self._outbox = Outbox()
         self._sending: float | None = None
@@ -99,7 +110,6 @@ class Connection:
         self.session = Session(
             ident,
             reporter,
-            state.noise,
             SessionLimits(
                 settings.stream_buffer_s, settings.idle_timeout_s, settings.max_session_s
             ),
@@ -117,6 +127,8 @@ class Connection:
             if any(isinstance(task.exception(), TimeoutError) for task in done):
                 self.session.fail(StreamTimeout(f"the client read nothing in {SEND_TIMEOUT_S:g} s"))
         finally:
+            if self._storing is not None:
+                tasks.append(self._storing)
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
@@ -135,7 +147,9 @@ class Connection:
     def pump(self) -> None:
         """Submit the session's next job, make room, close the outbox after the session."""
         work = self.session.take_work()
-        if work is not None:
+        if isinstance(work, Open | Keep):
+            self._storing = asyncio.create_task(self._store(work))
+        elif work is not None:
             self._worker.submit(work, self._worked)
         check = self.session.take_check()
         if check is not None:
@@ -146,6 +160,19 @@ class Connection:
             self._room.set()
         else:
             self._room.clear()
+
+    async def _store(self, work: Open | Keep) -> None:
+        """Do what needs the store of noise profiles in a thread: it may wait for a disk."""
+        in_thread = partial(anyio.to_thread.run_sync, limiter=self._noise_access)
+        try:
+            if isinstance(work, Keep):
+                self._worked(await in_thread(keep, work, self._noise))
+            else:
+                found = await in_thread(with_noise, work, self._noise)
+                self._worker.submit(found, self._worked)
+        except Exception:
+            log.exception("the stream failed")
+            self._worked(Failed(DoaError(UNEXPECTED)))
 
     def _worked(self, outcome: Outcome) -> None:
         self.session.work_done(outcome, self._loop.time())
