@@ -19,14 +19,14 @@ DoaError
 │  ├─ Unauthorized ─ KeyMissing · KeyUnknown · KeyExpired
 │  └─ RoleMissing · KeyInAddress · HostRefused · OriginRefused
 ├─ KeyLimitError
-│  └─ TooManyUploads · AudioQuota
+│  └─ TooManyUploads · TooManyWatchers · AudioQuota
 ├─ StreamProtocolError
 │  └─ InvalidMessage · AudioBeforeStart · MessageTooBig · StreamTimeout · SessionLimit ·
 │     TooManySessions · TooManyFrames · SubprotocolMissing
 ├─ BundleError
 │  └─ BundleNotFound · BundleCorrupt · BundleIncompatible · SelfTestFailed · ReloadRefused
 └─ CapacityError
-   └─ Overloaded · TooManyConnections · DiskFull · NotReady · Draining · WorkerLost
+   └─ Overloaded · TooManyConnections · DiskFull · NotReady · Draining · TooSlow · WorkerLost
 
 ``neuralmusic.client_errors`` adds those that clients raise themselves.
 """
@@ -279,6 +279,10 @@ class TooManyUploads(KeyLimitError, code="too_many_uploads", title="Too many upl
     """The key has reached its limit of uploads at the same time."""
 
 
+class TooManyWatchers(KeyLimitError, code="too_many_watchers", title="Too many watchers"):
+    """The key watches its most streams at the same time."""
+
+
 class AudioQuota(KeyLimitError, code="audio_quota", title="Audio quota used up"):
     """The key has used its seconds of audio for now."""
 
@@ -391,6 +395,10 @@ class NotReady(CapacityError, code="not_ready", title="Not ready"):
 
 class Draining(CapacityError, code="draining", title="Shutting down", close_code=1012):
     """The service is shutting down."""
+
+
+class TooSlow(CapacityError, code="too_slow", title="Too slow"):
+    """Localizing the recording took longer than the recording lasts, and was stopped."""
 
 
 class WorkerLost(CapacityError, code="worker_lost", title="Worker lost", close_code=1011):

@@ -17,6 +17,9 @@ from neuralmusic.errors import AccessError, KeyExpired, KeyMissing, KeyUnknown, 
 from service.access.key_file import ROLES, Key, Role, read_keys, token_sha256
 from service.access.usage import Usage
 
+MAX_WATCHERS = 64
+"""Most watchers of streams with one key, or without keys"""
+
 ANYONE = Key(name="anyone", sha256="0" * 64, roles=ROLES)
 """Stands for every client of a service without keys; everything is allowed"""
 
@@ -125,9 +128,19 @@ class Keys:
         with self._used(key).upload(key.max_uploads):
             yield
 
+    @contextmanager
+    def watcher(self, key: Key) -> Iterator[None]:
+        """Hold a place for a watcher with this key, or raise TooManyWatchers."""
+        with self._used(key).watcher(MAX_WATCHERS):
+            yield
+
     def charge(self, key: Key, seconds: float) -> None:
         """Count seconds of audio of this key; safe to call from any thread."""
         self._used(key).charge(seconds, key.audio_seconds_per_hour)
+
+    def reserve(self, key: Key, seconds: float) -> None:
+        """Count seconds of audio to come, or raise AudioQuota; negative ones are given back."""
+        self._used(key).reserve(seconds, key.audio_seconds_per_hour)
 
     def check_audio(self, key: Key) -> None:
         """Raise AudioQuota where the key's seconds of audio are used up."""

@@ -7,7 +7,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 
-from neuralmusic.errors import AudioQuota, DoaError, TooManySessions, TooManyUploads
+from neuralmusic.errors import (
+    AudioQuota,
+    DoaError,
+    TooManySessions,
+    TooManyUploads,
+    TooManyWatchers,
+)
 
 HOUR_S = 3600.0
 
@@ -17,7 +23,8 @@ class Usage:
 
     Audio is a leaky bucket: what was used drains at the limit's own pace. A stream in real time
     runs for ever with a limit of 3600 s an hour, and a client that spent everything at once may
-    continue a little later, not an hour later. In any one hour at most twice the limit passes.
+    continue a little later, not an hour later. In any one hour at most twice the limit passes: a
+    recording's audio is reserved before any of it is localized, and what was not is given back.
 
     Parameters
     ----------
@@ -48,6 +55,13 @@ class Usage:
         refusal = TooManyUploads(f"this key has reached its limit of {most} uploads: wait for one")
         return self._place("uploads", most, refusal)
 
+    def watcher(self, most: int) -> AbstractContextManager[None]:
+        """Hold a place for somebody who watches a stream, or raise TooManyWatchers."""
+        refusal = TooManyWatchers(
+            f"{most} watchers are the most with one key, or without keys: close one"
+        )
+        return self._place("watchers", most, refusal)
+
     @contextmanager
     def _place(self, kind: str, most: int | None, refusal: DoaError) -> Iterator[None]:
         with self._lock:
@@ -66,6 +80,26 @@ class Usage:
             self._drain(per_hour)
             self._audio_s += seconds
 
+    def reserve(self, seconds: float, per_hour: float | None) -> None:
+        """Count seconds of audio to come, or raise AudioQuota where they exceed the limit.
+
+        A negative number gives back what was reserved and not used.
+        """
+        with self._lock:
+            self._drain(per_hour)
+            beyond = 0.0 if per_hour is None else self._audio_s + seconds - per_hour
+            if seconds <= 0 or beyond <= 0:
+                self._audio_s = max(0.0, self._audio_s + seconds)
+                return
+        assert per_hour is not None
+        if seconds > per_hour:
+            raise AudioQuota(
+                f"the recording's {seconds:.0f} s are more than the {per_hour:g} s of audio an "
+                "hour of this key: split it",
+                HOUR_S,
+            )
+        raise _used_up(beyond, per_hour)
+
     def check_audio(self, per_hour: float | None) -> None:
         """Raise AudioQuota where the limit is used up."""
         if per_hour is None:
@@ -74,14 +108,18 @@ class Usage:
             self._drain(per_hour)
             beyond = self._audio_s - per_hour
         if beyond >= 0:
-            wait = max(1.0, beyond * HOUR_S / per_hour)
-            raise AudioQuota(
-                f"this key has used its {per_hour:g} s of audio an hour: continue in {wait:.0f} s",
-                wait,
-            )
+            raise _used_up(beyond, per_hour)
 
     def _drain(self, per_hour: float | None) -> None:
         now = self._clock()
         elapsed, self._since = now - self._since, now
         drained = elapsed * per_hour / HOUR_S if per_hour is not None else self._audio_s
         self._audio_s = max(0.0, self._audio_s - drained)
+
+
+def _used_up(beyond: float, per_hour: float) -> AudioQuota:
+    """The refusal of audio that would be ``beyond`` seconds above the limit."""
+    wait = max(1.0, beyond * HOUR_S / per_hour)
+    return AudioQuota(
+        f"this key has used its {per_hour:g} s of audio an hour: continue in {wait:.0f} s", wait
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import anyio.to_thread
 from fastapi import APIRouter, Request, Response
@@ -15,7 +16,7 @@ from service.api.state import ServiceState, state_of
 from service.api.upload import read_upload
 from service.observability.logs import request_id
 from service.recordings.answers import LocalizationAnswer
-from service.recordings.job import HeaderRead, RecordingJob
+from service.recordings.job import RecordingJob
 from service.recordings.options import LocalizeRequest, read_options
 
 router = APIRouter(tags=["localization"])
@@ -38,9 +39,6 @@ async def localize(request: Request) -> Response:
     state = state_of(request)
     key = key_of(request)
 
-    def charge(opened: HeaderRead) -> None:
-        state.keys.charge(key, opened.duration)
-
     async def still_wanted() -> None:
         if await request.is_disconnected():
             raise ClientDisconnect
@@ -48,12 +46,12 @@ async def localize(request: Request) -> Response:
     state.admit()
     state.recording_workers.check()
     with state.keys.upload(key):
-        async with read_upload(request) as upload:
+        async with read_upload(request, state.spool) as upload:
             asked = await _with_noise(read_options(upload.options), state)
             job = RecordingJob(asked, state.audio_limits, request_id.get())
             with state.traces.span("localize"):
                 localized = await state.recording_workers.run(
-                    job, upload.file, charge, still_wanted
+                    job, upload.file, partial(state.keys.reserve, key), still_wanted
                 )
     return Response(localized.body, media_type="application/json")
 

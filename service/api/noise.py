@@ -9,6 +9,7 @@ from typing import Annotated
 
 import anyio.to_thread
 from fastapi import APIRouter, HTTPException, Path, Request, Response
+from starlette.datastructures import UploadFile
 
 from neuralmusic.errors import (
     DiskFull,
@@ -25,7 +26,7 @@ from service.api.catalog import NOT_FOUND
 from service.api.middleware.guard import key_of
 from service.api.problems import problem_responses
 from service.api.state import state_of
-from service.api.upload import unstored
+from service.api.upload import arriving, unstored
 from service.inference.noise_profile import MAX_BYTES, load_noise, noise_bytes
 from service.inference.noise_store import NoiseStore, StoredNoise
 from service.recordings.answers import Answer
@@ -90,7 +91,8 @@ async def get_noise(request: Request, name: Name) -> Response:
     """The file that `PUT` took, or that `neuralmusic noise` would have written."""
     stored = await _found(request, name)
     headers = {"Content-Disposition": f'attachment; filename="{stored.name}.npz"'}
-    return Response(noise_bytes(stored.noise), media_type=MEDIA_TYPE, headers=headers)
+    content = await anyio.to_thread.run_sync(noise_bytes, stored.noise)
+    return Response(content, media_type=MEDIA_TYPE, headers=headers)
 
 
 @router.put(
@@ -111,13 +113,14 @@ async def put_noise(request: Request, name: Name) -> NoiseAnswer:
     """Store a profile that `neuralmusic noise` wrote; it replaces one of the same name."""
     state = state_of(request)
     with state.keys.upload(key_of(request)), SpooledTemporaryFile(SPOOL_BYTES) as file:
-        size = 0
-        async for chunk in request.stream():
-            size += len(chunk)
-            if size > MAX_BYTES:
-                raise UploadTooLarge(f"a noise profile has at most {MAX_BYTES} bytes")
-            file.write(chunk)
-        file.seek(0)
+        async with arriving(request, state.spool) as pieces:
+            spooled, size = UploadFile(file, size=0), 0  # type: ignore[arg-type]
+            async for piece in pieces.stream():
+                size += len(piece)
+                if size > MAX_BYTES:
+                    raise UploadTooLarge(f"a noise profile has at most {MAX_BYTES} bytes")
+                await spooled.write(piece)
+            await spooled.seek(0)
 
         def keep() -> StoredNoise:
             noise = load_noise(file)  # type: ignore[arg-type]

@@ -5,13 +5,16 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import AsyncIterator, Callable
+from contextlib import ExitStack
 from http import HTTPStatus
 from typing import Annotated, Literal
 
+import anyio.to_thread
 from fastapi import APIRouter, HTTPException, Query, Request
 from starlette.responses import Response, StreamingResponse
+from starlette.types import Receive, Scope, Send
 
-from neuralmusic.errors import InvalidOption
+from neuralmusic.errors import InvalidOption, Overloaded, TooManyWatchers
 from neuralmusic.protocol.message import message_type
 from neuralmusic.protocol.methods import Method
 from neuralmusic.protocol.server_messages import Closing, ServerMessage, StreamError
@@ -86,6 +89,19 @@ class SessionsAnswer(Answer):
     """Most streams that may run at the same time"""
 
 
+class EventStream(StreamingResponse):
+    """Server-sent events, which hold a watcher's place until they end."""
+
+    def __init__(self, events: AsyncIterator[str], place: ExitStack) -> None:
+        headers = {"Cache-Control": "no-store"}
+        super().__init__(events, media_type="text/event-stream", headers=headers)
+        self._place = place
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        with self._place:
+            await super().__call__(scope, receive, send)
+
+
 @router.get("/sessions", summary="List the streams")
 async def sessions(request: Request) -> SessionsAnswer:
     """Running streams, and ended ones whose results can still be exported."""
@@ -106,16 +122,18 @@ async def sessions(request: Request) -> SessionsAnswer:
             "message of the stream as it is sent; results always with their spectrum",
         },
         **NOT_FOUND,
+        **problem_responses(TooManyWatchers, Overloaded),
     },
 )
 async def session_events(request: Request, session_id: str) -> StreamingResponse:
     """Every message that a running stream sends to its client, for dashboards."""
     entry = _entry(request, session_id)
-    keys, key = state_of(request).keys, key_of(request)
-    events = _events(entry, lambda: keys.holds(key, "watch"))
-    return StreamingResponse(
-        events, media_type="text/event-stream", headers={"Cache-Control": "no-store"}
-    )
+    state, key = state_of(request), key_of(request)
+    with ExitStack() as held:
+        held.enter_context(state.streams.watcher())
+        held.enter_context(state.keys.watcher(key))
+        events = _events(entry, lambda: state.keys.holds(key, "watch"))
+        return EventStream(events, held.pop_all())
 
 
 @router.get(
@@ -145,7 +163,8 @@ async def session_export(
     name = f"session-{entry.id}.{format}"
     headers = {"Content-Disposition": f'attachment; filename="{name}"'}
     history = tuple(entry.reporter.account.history)
-    return Response(write(history), media_type=FORMATS[format], headers=headers)
+    content = await anyio.to_thread.run_sync(write, history)
+    return Response(content, media_type=FORMATS[format], headers=headers)
 
 
 def _entry(request: Request, session_id: str) -> SessionEntry:

@@ -15,6 +15,7 @@ from fastapi import Request
 from neuralmusic.errors import DoaError, NotReady, ReloadRefused
 from service.access.keys import Keys
 from service.api.reloads import Reloads, within
+from service.api.spool import Spool
 from service.audio.recording import AudioLimits
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
@@ -56,6 +57,10 @@ class ServiceState:
     traces: Traces = field(default_factory=Traces)
     noise_checks: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(1))
     """Limits checks to one at a time: the largest profile takes some hundred megabytes"""
+    noise_access: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(4))
+    """Limits threads in which streams wait for the store"""
+    spool: Spool = field(default_factory=Spool)
+    """The uploads under way"""
     keys: Keys = field(default_factory=Keys)
     """API keys; they decide who may do what"""
     _key_reloads: Reloads[None] = field(init=False)
@@ -112,7 +117,14 @@ class ServiceState:
         self.stream_workers.setup = self.recording_workers.setup = setup
 
     async def load(self) -> None:
-        """Load the bundles unless they are loaded; raises BundleError or ConfigError."""
+        """Load the bundles, unless they are loaded, and the noise profiles.
+
+        Raises
+        ------
+        BundleError, ConfigError
+            If the bundles cannot be used.
+        """
+        await anyio.to_thread.run_sync(self.noise.all)
         if self.registry is None:
             self.install(await anyio.to_thread.run_sync(load_registry, self.settings))
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from contextlib import ExitStack, suppress
 from functools import partial
 
+import anyio.to_thread
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from starlette.types import Message
 
@@ -33,9 +34,10 @@ from service.api.state import ServiceState
 from service.api.stream_watch import StreamWatch
 from service.machine.memory import give_back_memory
 from service.observability.logs import session_id
+from service.streaming.calibrations import keep, with_noise
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session
-from service.streaming.work import Close, Outcome
+from service.streaming.work import Close, Failed, Keep, Open, Outcome
 from service.workers.stream_pool import worker_lost
 
 log = logging.getLogger(__name__)
@@ -90,6 +92,10 @@ class Connection:
         self._stream_workers = state.stream_workers
         self._worker = state.stream_workers.assign()
         self._streams = state.streams
+        self._noise = state.noise
+        self._noise_access = state.noise_access
+        self._storing: asyncio.Task[None] | None = None
+        """The session's job that waits for the store of noise profiles"""
         self._most = settings.max_sessions_per_client
         self._outbox = Outbox()
         self._broken = False
@@ -105,7 +111,6 @@ class Connection:
         self.session = Session(
             ident,
             reporter,
-            state.noise,
             SessionLimits(
                 settings.stream_buffer_s, settings.idle_timeout_s, settings.max_session_s
             ),
@@ -122,6 +127,8 @@ class Connection:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             self.act(partial(self._ended, done))
         finally:
+            if self._storing is not None:
+                tasks.append(self._storing)
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
@@ -170,7 +177,9 @@ class Connection:
     def _pump(self) -> None:
         """Hand out the session's next work, make room, close what is closed."""
         work = self.session.take_work()
-        if work is not None:
+        if isinstance(work, Open | Keep):
+            self._storing = asyncio.create_task(self._store(work))
+        elif work is not None:
             self._worker.submit(work, self._worked)
         check = self.session.take_check()
         if check is not None:
@@ -181,6 +190,19 @@ class Connection:
             self._room.set()
         else:
             self._room.clear()
+
+    async def _store(self, work: Open | Keep) -> None:
+        """Do what needs the store of noise profiles in a thread: it may wait for a disk."""
+        in_thread = partial(anyio.to_thread.run_sync, limiter=self._noise_access)
+        try:
+            if isinstance(work, Keep):
+                self._worked(await in_thread(keep, work, self._noise))
+            else:
+                found = await in_thread(with_noise, work, self._noise)
+                self._worker.submit(found, self._worked)
+        except Exception:
+            log.exception("the stream failed")
+            self._worked(Failed(DoaError(UNEXPECTED)))
 
     def _worked(self, outcome: Outcome) -> None:
         self.act(lambda: self.session.work_done(outcome, self._loop.time()))

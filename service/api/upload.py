@@ -22,6 +22,7 @@ from neuralmusic.errors import (
     UnsupportedMediaType,
     UploadError,
 )
+from service.api.spool import Arrival, Spool
 from service.machine.files import TOO_MANY_FILES, out_of_files
 
 FIELD = "audio"
@@ -38,14 +39,21 @@ HOW = "send the recording as multipart field 'audio' (curl -F audio=@recording.w
 class Pieces(Request):
     """A request that joins the server's many small pieces of a body into few large ones."""
 
+    def __init__(self, request: Request, arrival: Arrival) -> None:
+        super().__init__(request.scope, request.receive)
+        self._arrival = arrival
+
     async def stream(self) -> AsyncGenerator[bytes, None]:
         """The body in pieces of at least ``PIECE_BYTES``, except the last one."""
         piece = bytearray()
         async for chunk in super().stream():
             piece += chunk
+            self._arrival.received(len(chunk))
             if len(piece) >= PIECE_BYTES:
+                await self._arrival.make_room(len(piece))
                 yield bytes(piece)
                 piece.clear()
+        await self._arrival.make_room(len(piece))
         yield bytes(piece)
 
 
@@ -58,7 +66,25 @@ class Upload:
 
 
 @asynccontextmanager
-async def read_upload(request: Request) -> AsyncIterator[Upload]:
+async def arriving(request: Request, spool: Spool) -> AsyncIterator[Pieces]:
+    """The request while its body is read and stored.
+
+    Raises
+    ------
+    DiskFull, TooManyConnections
+        If the body cannot be stored.
+    RequestTimeout
+        If it was too slow when another upload needed its room.
+    """
+    try:
+        async with spool.arriving() as arrival:
+            yield Pieces(request, arrival)
+    except OSError as error:
+        raise unstored(error, "upload") from error
+
+
+@asynccontextmanager
+async def read_upload(request: Request, spool: Spool) -> AsyncIterator[Upload]:
     """The request's recording and options; the temporary file lasts as long as the context.
 
     Raises
@@ -69,20 +95,17 @@ async def read_upload(request: Request) -> AsyncIterator[Upload]:
         If the body holds no recording.
     UploadTooLarge
         If the body exceeds the limit while it is read.
-    DiskFull, TooManyConnections
-        If the body cannot be stored.
+    DiskFull, RequestTimeout, TooManyConnections
+        As ``arriving`` does.
     """
-    request = Pieces(request.scope, request.receive)
     is_form = _media_type(request) == "multipart/form-data"
     async with AsyncExitStack() as stack:
-        try:
-            body = _form(request) if is_form else _raw(request)
+        async with arriving(request, spool) as pieces:
+            body = _form(pieces) if is_form else _raw(pieces)
             upload, size = await stack.enter_async_context(body)
             # A worker process gets the file's descriptor; the file has no name.
             upload.file.fileno()
             upload.file.flush()
-        except OSError as error:
-            raise unstored(error, "upload") from error
         if not size:
             raise MissingAudio(f"the recording is empty (0 bytes): {HOW}")
         yield upload

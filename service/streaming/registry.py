@@ -6,6 +6,7 @@ import asyncio
 import secrets
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
@@ -14,6 +15,8 @@ from neuralmusic.protocol.server_messages import Ready, ServerMessage
 from service.streaming.reporter import Reporter
 from service.streaming.session import Session
 
+MAX_WATCHERS = 128
+"""Most watchers of all streams: each of them gets every message of its stream"""
 KEPT = 16
 """Most ended sessions whose results can still be exported"""
 
@@ -70,6 +73,7 @@ class SessionRegistry:
         self.max_sessions = max_sessions
         self._running: dict[str, SessionEntry] = {}
         self._ended: deque[SessionEntry] = deque(maxlen=KEPT)
+        self._watchers = 0
         self.empty = asyncio.Event()
         """Set while no session runs"""
         self.empty.set()
@@ -94,6 +98,17 @@ class SessionRegistry:
         if len(self._running) >= self.max_sessions:
             most = self.max_sessions
             raise Overloaded(f"the service has reached its limit of {most} streams: try later")
+
+    @contextmanager
+    def watcher(self) -> Iterator[None]:
+        """Hold a place for a watcher of any session, or raise Overloaded."""
+        if self._watchers >= MAX_WATCHERS:
+            raise Overloaded(f"streams have {MAX_WATCHERS} watchers, the most: try again later")
+        self._watchers += 1
+        try:
+            yield
+        finally:
+            self._watchers -= 1
 
     def new_id(self) -> str:
         """An id that cannot be guessed: whoever knows it can watch the session."""

@@ -22,11 +22,9 @@ from neuralmusic.errors import (
     DoaError,
     InvalidMessage,
     MessageTooBig,
-    NoiseStoreFull,
     SessionLimit,
     StreamTimeout,
     TooManySources,
-    UnknownNoise,
 )
 from neuralmusic.protocol import MAX_MESSAGE_BYTES
 from neuralmusic.protocol.client_messages import (
@@ -43,7 +41,6 @@ from neuralmusic.protocol.close_codes import CloseCode
 from neuralmusic.protocol.server_messages import Calibrated, Flushed, Pong
 from service.doa.whitening import NoiseCovariance
 from service.inference.choice import check_num_sources
-from service.inference.noise_store import NoiseStore
 from service.streaming.clock import StreamClock
 from service.streaming.intake import Intake
 from service.streaming.reporter import Reporter, SessionLimits
@@ -53,6 +50,8 @@ from service.streaming.work import (
     Check,
     Checked,
     Failed,
+    Keep,
+    Kept,
     Open,
     Outcome,
     StreamOpened,
@@ -63,6 +62,7 @@ MAX_COMMANDS = 1000
 
 State = Literal["waiting", "opening", "running", "closed"]
 Command = Update | Flush | Calibrate | Stop
+Purpose = Flush | Stop | Literal["opening", "audio"] | None
 
 
 class Session:
@@ -73,8 +73,6 @@ class Session:
     session_id : str
     reporter : Reporter
         Takes every message to the client, in order.
-    noise : NoiseStore
-        The stored calibrations.
     now : float
         Seconds of a monotonic clock, as in all calls.
     """
@@ -83,7 +81,6 @@ class Session:
         self,
         session_id: str,
         reporter: Reporter,
-        noise: NoiseStore,
         limits: SessionLimits,
         now: float,
     ) -> None:
@@ -93,7 +90,6 @@ class Session:
         self.start: Start | None = None
         self.output = OutputOptions()
         self._report = reporter
-        self._noise = noise
         self._limits = limits
         self._intake: Intake | None = None
         self._commands: deque[tuple[int, Command]] = deque()
@@ -101,9 +97,11 @@ class Session:
         self._clock: StreamClock | None = None
         self._microphones = 0
         """Number of microphones, once the array is known"""
+        self._unkept: tuple[Keep, Purpose] | None = None
+        """The job that stores learnt noise, and the purpose of the job that learnt it"""
         self._calibrate_s: float | None = None
         """Seconds of a calibration that begins with the next audio"""
-        self._working: Flush | Stop | Literal["opening", "audio"] | None = None
+        self._working: Purpose = None
         """Purpose of the job in progress"""
         self._check: Literal["due", "running"] | None = None
         self._stopping = False
@@ -183,7 +181,7 @@ class Session:
             return 0.0
         return self._intake.buffer.frames / self.start.audio.sample_rate
 
-    def take_work(self) -> Open | Advance | None:
+    def take_work(self) -> Open | Advance | Keep | None:
         """The next job, or None; call ``work_done`` before the one after it."""
         if self._working is not None or self.state in ("waiting", "closed"):
             return None
@@ -191,7 +189,10 @@ class Session:
         assert self._intake is not None
         if self.state == "opening":
             self._working = "opening"
-            return Open(self.id, self.start, self._kept_noise(self.start))
+            return Open(self.id, self.start)
+        if self._unkept is not None:
+            keep, self._working = self._unkept
+            return keep
         assert self._clock is not None
         while self._commands:
             needed = self._clock.frames_needed(self.output.interval_ms)
@@ -223,6 +224,8 @@ class Session:
             self._report.ready(self.id, outcome, self.start, self._limits)
         elif isinstance(outcome, Advanced):
             self._advanced(outcome, purpose, now)
+        elif isinstance(outcome, Kept):
+            self._kept(outcome, purpose)
 
     def take_check(self) -> Check | None:
         """A check of the channels, which may run beside another job, or None."""
@@ -289,15 +292,6 @@ class Session:
         seconds = self._limits.buffer_s + self.output.interval_ms / 1000
         return round(seconds * start.audio.sample_rate)
 
-    def _kept_noise(self, start: Start) -> NoiseCovariance | None:
-        """The calibration stored for the client, unless it has none or wants none."""
-        if start.client is None or start.noise == "none":
-            return None
-        try:
-            return self._noise.get(start.client).noise
-        except UnknownNoise:
-            return None
-
     def _advance(self, frames: int, purpose: Flush | Stop | Literal["audio"]) -> Advance:
         assert self._intake is not None
         self._working = purpose
@@ -309,7 +303,7 @@ class Session:
     def _advanced(
         self,
         outcome: Advanced,
-        purpose: Flush | Stop | Literal["opening", "audio"] | None,
+        purpose: Purpose,
         now: float,
     ) -> None:
         self._clock = outcome.clock
@@ -318,28 +312,36 @@ class Session:
         if outcome.estimate is not None:
             final = purpose != "audio"
             self._report.result(outcome.estimate, self.output, now, final=final)
-        if outcome.calibrated is not None:
-            self._calibrated(outcome.calibrated)
         if outcome.calibration_error is not None:
             self._report.warn("calibration_failed", outcome.calibration_error)
+        if outcome.calibrated is not None:
+            assert self.start is not None
+            if self.start.client is not None:
+                self._unkept = Keep(self.start.client, outcome.calibrated), purpose
+                return  # told once it is stored
+            self._calibrated(None, outcome.calibrated)
+        self._conclude(purpose)
+
+    def _kept(self, outcome: Kept, purpose: Purpose) -> None:
+        assert self._unkept is not None
+        (kept, _), self._unkept = self._unkept, None
+        if outcome.error is not None:
+            self._report.warn(
+                "calibration_failed",
+                f"the noise is used for this stream, but was not stored: {outcome.error}",
+            )
+        self._calibrated(kept.name if outcome.error is None else None, kept.noise)
+        self._conclude(purpose)
+
+    def _calibrated(self, name: str | None, noise: NoiseCovariance) -> None:
+        self._report.emit(Calibrated, name=name, seconds=round(noise.seconds, 3))
+
+    def _conclude(self, purpose: Purpose) -> None:
+        """Tell that all audio before a command is localized."""
         if isinstance(purpose, Flush):
             self._report.emit(Flushed, t_end=round(self._report.account.t_end, 6))
         elif isinstance(purpose, Stop):
             self._end()
-
-    def _calibrated(self, noise: NoiseCovariance) -> None:
-        assert self.start is not None
-        name = self.start.client
-        if name is not None:
-            try:
-                self._noise.put(name, noise)
-            except (NoiseStoreFull, OSError) as error:
-                self._report.warn(
-                    "calibration_failed",
-                    f"the noise is used for this stream, but was not stored: {error}",
-                )
-                name = None
-        self._report.emit(Calibrated, name=name, seconds=round(noise.seconds, 3))
 
     def _apply(self, command: Update | Calibrate) -> None:
         if isinstance(command, Update):

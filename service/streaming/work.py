@@ -28,7 +28,7 @@ class Open:
 
     session: str
     start: Start
-    noise: NoiseCovariance | None
+    noise: NoiseCovariance | None = None
     """The calibration stored for the client"""
 
 
@@ -59,6 +59,14 @@ class Close:
 
 
 Work = Open | Advance | Check | Close
+
+
+@dataclass(frozen=True, slots=True)
+class Keep:
+    """Store the noise that a client's stream has learnt; no job of the worker's."""
+
+    name: str
+    noise: NoiseCovariance
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,13 +109,21 @@ class Checked:
 
 
 @dataclass(frozen=True, slots=True)
+class Kept:
+    """The noise was stored."""
+
+    error: str | None = None
+    """Why it was not"""
+
+
+@dataclass(frozen=True, slots=True)
 class Failed:
     """The job failed."""
 
     error: DoaError
 
 
-Outcome = StreamOpened | Advanced | Checked | Failed
+Outcome = StreamOpened | Advanced | Checked | Kept | Failed
 
 Answer = tuple[int, Outcome, float]
 """Answer of a worker: the job's number, its outcome, the seconds it took"""

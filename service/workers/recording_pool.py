@@ -14,7 +14,7 @@ import anyio
 import anyio.from_thread
 import anyio.to_thread
 
-from neuralmusic.errors import DecodingFailed, DoaError, Overloaded, WorkerLost
+from neuralmusic.errors import DecodingFailed, DoaError, Overloaded, TooSlow, WorkerLost
 from service.lifecycle import Lifecycle, Phase
 from service.observability.metrics import Metrics
 from service.recordings.job import HeaderRead, Localized, Outcome, RecordingJob, Refused, Report
@@ -26,8 +26,8 @@ log = logging.getLogger(__name__)
 CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL}
 """Signals by which a faulty decoder ends a process; other signals come from outside"""
 
-Admit = Callable[[HeaderRead], None]
-"""Raises a DoaError where a recording of this length must be refused"""
+Reserve = Callable[[float], None]
+"""Reserves seconds of audio, or raises a DoaError; takes negative ones back"""
 StillWanted = Callable[[], Coroutine[Any, Any, None]]
 """Raises an exception of the caller's once nobody waits for the answer"""
 
@@ -157,21 +157,24 @@ class RecordingWorkers:
             )
 
     async def run(
-        self, job: RecordingJob, file: BinaryIO, admit: Admit, still_wanted: StillWanted
+        self, job: RecordingJob, file: BinaryIO, reserve: Reserve, still_wanted: StillWanted
     ) -> Localized:
         """Localize a recording once a worker is free.
 
         The job ends once nobody waits for it: a robot that times out and retries would otherwise
-        pile up work. Exceptions of ``admit`` and ``still_wanted`` pass through.
+        pile up work. Exceptions of ``reserve`` and ``still_wanted`` pass through.
         """
-        audio_s = 0.0
+        audio_s = share = began = 0.0
 
         def check(message: Report) -> None:
-            nonlocal audio_s
+            nonlocal audio_s, share, began
             self._lifecycle.check(Phase.ENDING)
             if isinstance(message, HeaderRead):
-                audio_s = message.duration
-                admit(message)
+                reserve(message.duration)
+                audio_s, began = message.duration, time.monotonic()
+            else:
+                share = message.share
+                self._check_time(audio_s, began)
             anyio.from_thread.run(still_wanted)
 
         self.check()
@@ -181,6 +184,9 @@ class RecordingWorkers:
             localized = await anyio.to_thread.run_sync(
                 self._localize, job, file, check, limiter=self._limiter
             )
+        except BaseException:
+            reserve(-audio_s * (1 - share))
+            raise
         finally:
             self.admitted -= 1
         self._count(localized, audio_s, time.monotonic() - came)
@@ -237,6 +243,15 @@ class RecordingWorkers:
                 worker.kill()
         for worker in idle:
             worker.end()
+
+    def _check_time(self, audio_s: float, began: float) -> None:
+        """Raise TooSlow where a recording takes longer than it lasts, and the stall's time."""
+        most = self._stall_s + audio_s
+        if time.monotonic() - began > most:
+            raise TooSlow(
+                f"the recording of {audio_s:.0f} s was not localized within {most:.0f} s: try "
+                "later, or with a larger hop_s, fewer microphones or a classical method"
+            )
 
     def _count(self, localized: Localized, audio_s: float, seconds: float) -> None:
         """Count a recording and the seconds until its answer."""

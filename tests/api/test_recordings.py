@@ -13,7 +13,9 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -110,6 +112,20 @@ def test_a_full_service_says_when_to_come_back(running: Service) -> None:
         assert refused.json()["code"] == "overloaded"
         assert int(refused.headers["retry-after"]) > 0
     assert first.result().status_code == 200
+
+
+def test_a_recording_that_takes_longer_than_it_lasts_is_stopped(
+    running: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert running.post().status_code == 200
+    pid = running.pid
+    hurried = SimpleNamespace(monotonic=count(0.0, 100.0).__next__)
+    with monkeypatch.context() as patched:
+        patched.setattr("service.workers.recording_pool.time", hurried)
+        answer = running.post()
+    assert (answer.status_code, answer.json()["code"]) == (503, "too_slow")
+    assert running.post().status_code == 200
+    assert running.pid == pid
 
 
 def test_a_worker_is_free_again_after_a_recording_that_is_none(running: Service) -> None:

@@ -61,6 +61,7 @@ def test_a_full_disk_is_no_server_error(monkeypatch: pytest.MonkeyPatch) -> None
         for response in (
             client.post("/localize", content=b"RIFF", headers=HEADERS),
             client.post("/localize", files={"audio": b"RIFF"}),
+            client.put("/noise/fan", content=b"PK"),
         ):
             assert response.status_code == 503
             assert response.json()["code"] == "disk_full"

@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import AsyncExitStack, suppress
 from typing import Any
 
 import httpx2
@@ -19,6 +19,7 @@ import websockets
 from running_service import RunningService
 from websocket_stream import PATIENCE, SECOND, START, end, opened, refusal, started, until
 
+from neuralmusic.errors import UnknownNoise
 from service.api import stream as stream_api
 from service.app import create_app
 from service.inference.registry import BundleRegistry
@@ -303,6 +304,63 @@ def test_a_session_can_be_watched_listed_and_exported(service: RunningService) -
     assert len(lines.splitlines()) == listed["results"]
     assert json.loads(lines.splitlines()[0])["t_end"] == pytest.approx(0.1)
     assert table.startswith("t_end,capture_time_ns,id,azimuth_deg,confidence,active")
+
+
+def test_a_store_that_waits_for_its_disk_holds_up_nobody_else(
+    service: RunningService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reached, go_on = threading.Event(), threading.Event()
+
+    def waiting(name: str) -> Any:
+        reached.set()
+        assert go_on.wait(PATIENCE)
+        raise UnknownNoise(name)
+
+    monkeypatch.setattr(service.state.noise, "get", waiting)
+
+    async def run() -> None:
+        async with opened(service) as named, opened(service) as other:
+            await named.send(json.dumps({**START, "client": "named"}))
+            assert await asyncio.to_thread(reached.wait, PATIENCE)
+            await started(other)
+            go_on.set()
+            await until(named, "ready")
+
+    try:
+        asyncio.run(run())
+    finally:
+        go_on.set()
+
+
+def test_watchers_have_a_limit_and_give_their_places_back(
+    service: RunningService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.access.keys.MAX_WATCHERS", 2)
+    monkeypatch.setattr("service.streaming.registry.MAX_WATCHERS", 3)
+
+    async def run() -> list[tuple[int, str]]:
+        async with opened(service) as socket, httpx2.AsyncClient(base_url=service.url) as http:
+            path = f"/sessions/{(await started(socket))['session']}/events"
+
+            async def refusal() -> tuple[int, str]:
+                answer = await http.get(path)
+                return answer.status_code, answer.json()["code"]
+
+            async with AsyncExitStack() as watching:
+                for _ in range(2):
+                    await watching.enter_async_context(http.stream("GET", path))
+                refused = [await refusal()]
+                monkeypatch.setattr("service.access.keys.MAX_WATCHERS", 9)
+                await watching.enter_async_context(http.stream("GET", path))
+                refused.append(await refusal())
+            monkeypatch.setattr("service.access.keys.MAX_WATCHERS", 1)
+            for _ in range(1000):  # the service notices that they are gone
+                async with http.stream("GET", path) as again:
+                    if again.status_code == 200:
+                        return refused
+            raise AssertionError("places were not given back")
+
+    assert asyncio.run(run()) == [(429, "too_many_watchers"), (503, "overloaded")]
 
 
 def test_an_unknown_session_is_a_404_problem(service: RunningService) -> None:

@@ -161,6 +161,16 @@ def of_a_stream(path: str, **request: Any) -> Ask:
     return send
 
 
+def too_many_watchers(limit: str) -> Ask:
+    """A watcher where nobody may watch; ``limit`` holds the most."""
+
+    def send(subject: Subject) -> httpx2.Response:
+        with patch(limit, 0):
+            return of_a_stream("events")(subject)
+
+    return send
+
+
 def one_too_many(subject: Subject) -> httpx2.Response:
     """One noise profile above the limit."""
     with patch.object(subject.service.state, "noise", NoiseStore(capacity=1)):
@@ -243,6 +253,12 @@ REQUESTS: dict[tuple[str, str, int], Ask] = dict(refusals()) | {
     ("get", "/sessions", 200): ask("GET", "/sessions"),
     ("get", "/sessions/{session_id}/events", 200): of_a_stream("events"),
     ("get", "/sessions/{session_id}/events", 404): ask("GET", "/sessions/none/events"),
+    ("get", "/sessions/{session_id}/events", 429): too_many_watchers(
+        "service.access.keys.MAX_WATCHERS"
+    ),
+    ("get", "/sessions/{session_id}/events", 503): too_many_watchers(
+        "service.streaming.registry.MAX_WATCHERS"
+    ),
     ("get", "/sessions/{session_id}/export", 200): of_a_stream("export"),
     ("get", "/sessions/{session_id}/export", 404): ask("GET", "/sessions/none/export"),
     ("get", "/sessions/{session_id}/export", 422): of_a_stream("export", params={"format": "xml"}),

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import os
+import socket
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +100,38 @@ def test_disk_full_of_uploads(figures: Callable[..., None], disk: Path) -> None:
         assert "Retry-After" in answer.headers
     assert passed.status_code == passed_raw.status_code == later.status_code == 200
     assert all(robot.cut == 0 for robot in robots)
+
+
+def test_uploads_that_fill_the_disk_and_drip(figures: Callable[..., None], disk: Path) -> None:
+    """They are slow enough for the deadline of a body, and would hold the disk for hours."""
+    over = threading.Event()
+    head = f"POST /localize?array={ARRAY} HTTP/1.1\r\nHost: x\r\nContent-Type: audio/wav\r\n"
+    body = 12 * 2**20
+
+    def drip(connection: socket.socket) -> None:
+        connection.sendall(f"{head}Content-Length: {body}\r\n\r\n".encode() + bytes(body - 2**20))
+        with suppress(OSError):  # the service closed the connection
+            while not over.wait(0.5):
+                connection.sendall(bytes(500))
+
+    subprocess.run(["mount", "-o", "remount,size=24m", disk], check=True)
+    with Served(environment={"TMPDIR": str(disk)}) as service, ExitStack() as held:
+        held.callback(over.set)
+        for _ in range(2):
+            connection = socket.create_connection(("127.0.0.1", service.port))
+            held.enter_context(connection)
+            threading.Thread(target=drip, args=(connection,)).start()
+        audio, began, codes = recording(4), time.monotonic(), [0]
+        while codes[-1] != 200 and time.monotonic() - began < 60:
+            codes.append(post(service, audio, False).status_code)
+        waited = time.monotonic() - began
+        assert "Traceback" not in service.log
+    figures(
+        "Two uploads that fill the disk and then send 1,000 bytes a second",
+        others=f"503 `disk_full` for {waited:.0f} s, then 200",
+    )
+    assert codes[-1] == 200
+    assert waited < 30
 
 
 def test_disk_full_of_noise_profiles(figures: Callable[..., None], disk: Path) -> None:

@@ -26,6 +26,7 @@ from neuralmusic.errors import (
     TooManyChannels,
     TooManyConnections,
     TooManySources,
+    TooSlow,
     TruncatedAudio,
     UnknownArray,
     UnknownMethod,
@@ -69,6 +70,7 @@ LOCALIZE_ERRORS: tuple[type[DoaError], ...] = (
     DiskFull,
     NotReady,
     Draining,
+    TooSlow,
     WorkerLost,
     DoaError,
 )

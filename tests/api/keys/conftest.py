@@ -23,6 +23,8 @@ def key_file(tmp_path_factory: pytest.TempPathFactory) -> KeyFile:
     file.add("one-stream", "stream", max_sessions=1)
     file.add("no-upload", "localize", max_uploads=0)
     file.add("two-seconds", "localize", "stream", audio_seconds_per_hour=2)
+    file.add("parallel", "localize", audio_seconds_per_hour=2)
+    file.add("unlucky", "localize", audio_seconds_per_hour=2)
     file.add("dashboard", "watch", "stream", origins=["https://dash.example"])
     file.add("old", "admin", expires="2020-01-01T00:00:00Z")
     return file

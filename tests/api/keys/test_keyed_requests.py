@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import io
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -160,17 +161,21 @@ def test_answers_carry_the_headers_of_safety(client: TestClient) -> None:
 # Limits
 
 
-def wav(seconds: float) -> bytes:
+def wav(seconds: float, damaged: bool) -> bytes:
     samples = np.random.default_rng(0).normal(0, 0.1, (round(16_000 * seconds), 4))
+    if damaged:
+        samples[0] = np.nan
     file = io.BytesIO()
-    soundfile.write(file, samples, 16_000, format="WAV")
+    soundfile.write(file, samples, 16_000, format="WAV", subtype="FLOAT")
     return file.getvalue()
 
 
-def post(client: TestClient, headers: dict[str, str], seconds: float = 1.5) -> httpx2.Response:
+def post(
+    client: TestClient, headers: dict[str, str], seconds: float = 1.5, *, damaged: bool = False
+) -> httpx2.Response:
     headers = {**headers, "Content-Type": "audio/wav"}
     params = {"array": ARRAY, "method": "norm_music"}
-    return client.post("/localize", content=wav(seconds), headers=headers, params=params)
+    return client.post("/localize", content=wav(seconds, damaged), headers=headers, params=params)
 
 
 def test_a_key_without_uploads_gets_429(client: TestClient, bearer: Any) -> None:
@@ -179,18 +184,41 @@ def test_a_key_without_uploads_gets_429(client: TestClient, bearer: Any) -> None
     assert int(answer.headers["retry-after"]) >= 1
 
 
-def test_audio_is_charged_and_then_refused_until_it_has_drained(
+def test_audio_that_exceeds_the_limit_is_refused_until_enough_has_drained(
     client: TestClient, bearer: Any
 ) -> None:
-    assert post(client, bearer("two-seconds")).status_code == 200
-    assert post(client, bearer("two-seconds")).status_code == 200  # 1.5 s of 2 are used before
-    refused = post(client, bearer("two-seconds"))
+    key = bearer("two-seconds")
+    assert post(client, key).status_code == 200
+    refused = post(client, key)
     assert (refused.status_code, refused.json()["code"]) == (429, "audio_quota")
-    # 3 s of 2 are used: one second drains in half an hour.
+    # 3 s of 2 would be used: one second drains in half an hour.
     assert int(refused.headers["retry-after"]) == pytest.approx(1800, abs=PATIENCE)
     assert post(client, bearer("localize")).status_code == 200
-    stored = client.put("/noise/n", content=b"", headers=bearer("two-seconds"))
-    assert stored.status_code == 429
+
+
+def test_a_recording_longer_than_the_limit_is_refused_with_the_remedy(
+    client: TestClient, bearer: Any
+) -> None:
+    refused = post(client, bearer("unlucky"), 3.0)
+    assert (refused.status_code, refused.json()["code"]) == (429, "audio_quota")
+    assert "split it" in refused.json()["detail"]
+
+
+def test_recordings_in_parallel_get_no_more_than_one_after_the_other(
+    client: TestClient, bearer: Any
+) -> None:
+    """Each reserves its audio before any of it is localized."""
+    with ThreadPoolExecutor(8) as executor:
+        answers = list(executor.map(lambda _: post(client, bearer("parallel")), range(8)))
+    codes = [answer.status_code for answer in answers]
+    assert (codes.count(200), codes.count(429)) == (1, 7)
+
+
+def test_what_was_reserved_and_not_localized_is_given_back(client: TestClient, bearer: Any) -> None:
+    for _ in range(2):
+        damaged = post(client, bearer("unlucky"), damaged=True)
+        assert damaged.json()["code"] == "audio_non_finite"
+    assert post(client, bearer("unlucky")).status_code == 200
 
 
 def test_a_prefix_of_a_proxy_changes_nothing(key_file: KeyFile, bearer: Any) -> None:

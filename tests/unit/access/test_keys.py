@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import threading
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -282,6 +283,19 @@ def test_no_pattern_of_use_gets_more_than_the_rate_and_one_hour_ahead(
         used += seconds
         allowed = per_hour * (1 + (clock.now - began) / 3600) + seconds
         assert used <= allowed * (1 + 1e-9) + 1e-6
+
+
+@given(st.floats(1.0, 10_000.0), st.lists(st.floats(0.0, 20_000.0), max_size=200))
+def test_reservations_never_exceed_the_limit(per_hour: float, asks: list[float]) -> None:
+    """However long the pieces are, and whoever comes first: no time passes between them."""
+    usage, held = Usage(lambda: 0.0), 0.0
+    for seconds in asks:
+        with suppress(AudioQuota):
+            usage.reserve(seconds, per_hour)
+            held += seconds
+        assert held <= per_hour * (1 + 1e-9)
+    usage.reserve(-held, per_hour)
+    usage.reserve(per_hour * (1 - 1e-9), per_hour)
 
 
 def test_a_stream_in_real_time_goes_on_for_ever_with_3600_seconds_an_hour() -> None:

@@ -15,9 +15,11 @@ from neuralmusic.protocol.server_messages import ServerMessage
 from service.doa.types import FloatArray
 from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
+from service.streaming.calibrations import keep, with_noise
 from service.streaming.host import StreamHost
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session
+from service.streaming.work import Advance, Keep, Open, Outcome
 
 ARRAY = "respeaker-usb-4mic-v2"
 
@@ -46,6 +48,7 @@ class Driver:
 
     session: Session
     host: StreamHost
+    store: NoiseStore = field(default_factory=NoiseStore)
     messages: list[dict[str, Any]] = field(default_factory=list)
     now: float = 0.0
     eager: bool = True
@@ -65,13 +68,20 @@ class Driver:
 
     def work(self) -> None:
         while (work := self.session.take_work()) is not None:
-            outcome = self.host.perform(work)
-            assert outcome is not None
-            self.session.work_done(outcome, self.now)
+            self.session.work_done(self.perform(work), self.now)
         while (check := self.session.take_check()) is not None:
             checked = self.host.perform(check)
             assert checked is not None
             self.session.check_done(checked)
+
+    def perform(self, work: Open | Advance | Keep) -> Outcome:
+        """The outcome of a job, wherever the service would do it."""
+        if isinstance(work, Keep):
+            return keep(work, self.store)
+        given = with_noise(work, self.store) if isinstance(work, Open) else work
+        outcome = self.host.perform(given)
+        assert outcome is not None
+        return outcome
 
     def all(self, kind: str) -> list[dict[str, Any]]:
         return [message for message in self.messages if message["type"] == kind]
@@ -110,10 +120,9 @@ def new_session(registry: BundleRegistry, store: NoiseStore) -> NewSession:
         session = Session(
             "test",
             Reporter(keep),
-            store,
             limits or SessionLimits(),
             now=0.0,
         )
-        return Driver(session, StreamHost(registry), messages, eager=eager)
+        return Driver(session, StreamHost(registry), store, messages, eager=eager)
 
     return make

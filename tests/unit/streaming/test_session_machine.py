@@ -25,7 +25,6 @@ from neuralmusic.errors import DoaError, WorkerLost
 from neuralmusic.protocol.close_codes import CloseCode
 from neuralmusic.protocol.server_messages import ServerMessage
 from service.api.outbox import message_json
-from service.inference.noise_store import NoiseStore
 from service.inference.registry import BundleRegistry
 from service.streaming.host import StreamHost
 from service.streaming.reporter import Reporter, SessionLimits
@@ -90,9 +89,9 @@ class SessionMachine(RuleBasedStateMachine):
         self.seen = 0
         self.calm = calm
         """Least steps before a session may end"""
-        session = Session("test", Reporter(self.keep), NoiseStore(), LIMITS, now=0.0)
+        session = Session("test", Reporter(self.keep), LIMITS, now=0.0)
         self.messages: list[dict[str, Any]] = []
-        self.driver = Driver(session, StreamHost(registry()), self.messages, eager=eager)
+        self.driver = Driver(session, StreamHost(registry()), messages=self.messages, eager=eager)
         self.sequence = 0
         self.longest = 0.0
         """Seconds of the longest binary message"""
@@ -177,9 +176,7 @@ class SessionMachine(RuleBasedStateMachine):
     def work_one_step(self) -> None:
         work = self.session.take_work()
         if work is not None:
-            outcome = self.driver.host.perform(work)
-            assert outcome is not None
-            self.session.work_done(outcome, self.driver.now)
+            self.session.work_done(self.driver.perform(work), self.driver.now)
 
     @precondition(lambda self: not self.is_calm)
     @rule()
