@@ -3,16 +3,14 @@
 DoaError
 ├─ ConfigError
 ├─ AudioError
-│  ├─ NotAudio · EmptyAudio · TruncatedAudio · NonFiniteAudio · DecodingFailed ·
-│  │  RecordingUnreadable
-│  ├─ ChannelMismatch · TooManyChannels · UnsupportedSampleRate · AudioTooLong
+│  ├─ NotAudio · EmptyAudio · TruncatedAudio · NonFiniteAudio · DecodingFailed · AudioTooLong
+│  └─ RecordingUnreadable · ChannelMismatch · TooManyChannels · UnsupportedSampleRate
 ├─ ArrayError
 │  └─ UnknownArray · InvalidGeometry · InvalidChannelMap
 ├─ OptionError
 │  └─ UnknownModel · UnknownMethod · InvalidOption · TooManySources · GeometryMismatch
 ├─ NoiseError
-│  ├─ UnknownNoise · NoiseMismatch · NoiseProfileInvalid · NoiseCalibrationFailed
-│  └─ NoiseStoreFull
+│  └─ UnknownNoise · NoiseMismatch · NoiseProfileInvalid · NoiseCalibrationFailed · NoiseStoreFull
 ├─ UploadError
 │  └─ MissingAudio · UploadTooLarge · UnsupportedMediaType · RequestTimeout
 ├─ AccessError
@@ -43,8 +41,6 @@ UNEXPECTED = "the service failed; its log says why: please report it"
 
 def printable(text: str) -> str:
     """``text`` with what begins lines, moves cursors or is no character written out."""
-    if text.isprintable():
-        return text
     return "".join(each if each.isprintable() else repr(each)[1:-1] for each in text)
 
 
@@ -59,10 +55,7 @@ class Attributes(TypedDict, total=False):
 
 
 class DoaError(Exception):
-    """Any refusal or failure of the service: a stable code, an HTTP status and a sentence.
-
-    A stream that ends with it closes with ``close_code`` (``neuralmusic.protocol.close_codes``).
-    """
+    """Any refusal or failure: a stable code, an HTTP status, a stream's close code, a sentence."""
 
     code: str = "internal"
     status: int = 500

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
-import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import AsyncExitStack, suppress
+from contextlib import AsyncExitStack
 from typing import Any
 
 import httpx2
 import numpy as np
 import pytest
-import websockets
 from running_service import RunningService
 from websocket_stream import PATIENCE, SECOND, START, end, opened, refusal, started, until
 
@@ -367,47 +364,3 @@ def test_an_unknown_session_is_a_404_problem(service: RunningService) -> None:
     for path in ("events", "export"):
         response = httpx2.get(f"{service.url}/sessions/nobody/{path}")
         assert (response.status_code, response.json()["code"]) == (404, "not_found")
-
-
-def test_streams_of_a_worker_that_dies_are_closed_and_the_next_ones_run(
-    service: RunningService,
-) -> None:
-    async def run() -> tuple[dict[str, Any], int | None, dict[str, Any]]:
-        async with opened(service) as first:
-            await started(first)
-            (pid,) = service.worker_pids
-            os.kill(pid, signal.SIGKILL)
-            await first.send(SECOND[:65_536])
-            last, close_code = await end(first)
-        async with opened(service) as second:
-            await started(second)
-            await second.send(SECOND[:65_536])
-            return last, close_code, await until(second, "result")
-
-    last, close_code, result = asyncio.run(run())
-    assert (last["code"], last["retryable"], close_code) == ("worker_lost", True, 1011)
-    assert result["t_end"] == pytest.approx(0.1)
-
-
-def test_a_stopping_service_says_goodbye_takes_nobody_new_and_ends_its_workers() -> None:
-    running = RunningService(settings=Settings(workers=1, stream_workers=1), workers_ahead=True)
-    (pid,) = running.worker_pids
-
-    async def run() -> tuple[list[str], dict[str, Any], int | None]:
-        async with opened(running) as socket:
-            await started(socket)
-            await socket.send(SECOND[:40_000])
-            stopping = asyncio.create_task(asyncio.to_thread(running.stop))
-            kinds, last = [], {}
-            with suppress(websockets.ConnectionClosedError):
-                async for text in socket:
-                    last = json.loads(text)
-                    kinds.append(last["type"])
-            await stopping
-            return kinds, last, socket.close_code
-
-    kinds, closing, close_code = asyncio.run(run())
-    assert kinds[-2:] == ["summary", "closing"]
-    assert (closing["code"], close_code) == ("draining", 1012)
-    with pytest.raises(ProcessLookupError):
-        os.kill(pid, 0)

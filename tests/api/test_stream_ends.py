@@ -1,0 +1,70 @@
+"""Streams whose worker dies or whose service stops."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any
+
+import pytest
+import websockets
+from running_service import RunningService
+from websocket_stream import SECOND, end, opened, started, until
+
+from service.settings import Settings
+
+
+@pytest.fixture
+def service() -> Iterator[RunningService]:
+    running = RunningService(settings=Settings(workers=1, stream_workers=1), workers_ahead=True)
+    yield running
+    running.stop()
+
+
+def test_streams_of_a_worker_that_dies_are_closed_and_the_next_ones_run(
+    service: RunningService,
+) -> None:
+    async def run() -> tuple[dict[str, Any], int | None, dict[str, Any]]:
+        async with opened(service) as first:
+            await started(first)
+            (pid,) = service.worker_pids
+            os.kill(pid, signal.SIGKILL)
+            await first.send(SECOND[:65_536])
+            last, close_code = await end(first)
+        async with opened(service) as second:
+            await started(second)
+            await second.send(SECOND[:65_536])
+            return last, close_code, await until(second, "result")
+
+    last, close_code, result = asyncio.run(run())
+    assert (last["code"], last["retryable"], close_code) == ("worker_lost", True, 1011)
+    assert result["t_end"] == pytest.approx(0.1)
+
+
+def test_a_stopping_service_says_goodbye_takes_nobody_new_and_ends_its_workers(
+    service: RunningService,
+) -> None:
+    (pid,) = service.worker_pids
+
+    async def run() -> tuple[list[str], dict[str, Any], int | None]:
+        async with opened(service) as socket:
+            await started(socket)
+            await socket.send(SECOND[:40_000])
+            stopping = asyncio.create_task(asyncio.to_thread(service.stop))
+            kinds, last = [], {}
+            with suppress(websockets.ConnectionClosedError):
+                async for text in socket:
+                    last = json.loads(text)
+                    kinds.append(last["type"])
+            await stopping
+            return kinds, last, socket.close_code
+
+    kinds, closing, close_code = asyncio.run(run())
+    assert kinds[-2:] == ["summary", "closing"]
+    assert (closing["code"], close_code) == ("draining", 1012)
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
