@@ -38,6 +38,8 @@ TICK_S = 1.0
 SEND_TIMEOUT_S = 10.0
 """Seconds in which a client must read something"""
 
+FLOOD = "neuralmusic.flood"
+"""In what is received where the connection gets frames that hold hardly any messages"""
 DROPPABLE = (*RESULTS, Stats)
 """Messages that are about now: old ones make room for new ones"""
 
@@ -163,9 +165,9 @@ class Connection:
             except RuntimeError:  # starlette's, after the disconnect was received
                 return
             if received["type"] == "websocket.disconnect":
-                if received["code"] == CloseCode.POLICY:  # the connection's own
-                    self.session.fail(TooManyFrames(received["reason"]))
                 return
+            if FLOOD in received:
+                self.session.fail(TooManyFrames("too many pings, pongs or small fragments came"))
             now = self._loop.time()
             data, text = received.get("bytes"), received.get("text")
             if data is not None:
