@@ -47,6 +47,8 @@ TICK_S = 1.0
 SEND_TIMEOUT_S = 10.0
 """Seconds within which a client must read something"""
 
+FLOOD = "neuralmusic.flood"
+"""Key of a received message, set where frames without messages flood the connection"""
 DROPPABLE = (*RESULTS, Stats)
 """Messages that describe the present: old ones make room for new ones"""
 
@@ -225,13 +227,13 @@ class Connection:
             except RuntimeError:  # starlette's, after the disconnect was received
                 return
             if received["type"] == "websocket.disconnect":
-                if received["code"] == CloseCode.POLICY:  # the connection's own
-                    self.session.fail(TooManyFrames(received["reason"]))
                 return
             self.act(partial(self._received, received))
 
     def _received(self, message: Message) -> None:
         """Take a message of the client's."""
+        if FLOOD in message:
+            self.session.fail(TooManyFrames("too many pings, pongs or small fragments came"))
         now = self._loop.time()
         data, text = message.get("bytes"), message.get("text")
         if data is not None:

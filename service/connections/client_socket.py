@@ -168,8 +168,9 @@ class ClientSocket(asyncio.Protocol, asyncio.Transport):
         return self._socket.get_extra_info(name, default)
 
     def write(self, data: Any) -> None:
-        """Send bytes."""
-        self._socket.write(data)
+        """Send bytes, unless it is closed."""
+        if not self._closed:
+            self._socket.write(data)
 
     def pause_reading(self) -> None:
         """Hand on nothing for now."""

@@ -10,7 +10,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.frames import Frame, Opcode
 from websockets.protocol import State
 
-from neuralmusic.protocol.close_codes import CloseCode
+from service.api.stream import FLOOD
 from service.connections.allowance import Allowance
 from service.connections.places import Places
 
@@ -33,6 +33,8 @@ class StreamProtocol(WebSocketsSansIOProtocol):
 
     _heard = 0.0
     """Loop time at which data last arrived"""
+    _told = False
+    """True once the application knows that frames without messages flood the connection"""
 
     def __init__(
         self,
@@ -60,10 +62,10 @@ class StreamProtocol(WebSocketsSansIOProtocol):
         frames = [event for event in self.conn.events if isinstance(event, Frame)]
         self._frames.spend(len(frames), self._heard)
         self._empty.spend(sum(map(carries_little, frames)), self._heard)
-        if self._empty.wait_s() and not self.close_sent:
-            self._cut_off()
-        else:
-            super().handle_events()
+        if self._empty.wait_s() and not self._told:
+            self._told = True
+            self.queue.put_nowait({"type": "websocket.receive", FLOOD: True})  # type: ignore[arg-type]
+        super().handle_events()
 
     def wait_s(self) -> float:
         """Seconds until the client may send more."""
@@ -102,13 +104,6 @@ class StreamProtocol(WebSocketsSansIOProtocol):
         self.read_paused = self.queue.qsize() >= MESSAGES_HELD
         if self.read_paused:
             self.transport.pause_reading()
-
-    def _cut_off(self) -> None:
-        """Close the connection of a client that sends hardly any messages but many frames."""
-        self.conn.events_received()
-        self.conn.data_to_send()  # pongs
-        self.conn.fail(CloseCode.POLICY, "too many pings, pongs or small fragments")
-        self.handle_parser_exception()
 
 
 def carries_little(frame: Frame) -> bool:

@@ -54,6 +54,19 @@ def test_a_page_from_elsewhere_is_refused_and_the_own_page_is_not(service: Runni
     assert asyncio.run(own())
 
 
+def test_who_sends_pings_without_end_is_told_and_closed(service: RunningService) -> None:
+    async def flood() -> tuple[dict[str, Any], int | None]:
+        async with opened(service) as socket:
+            await started(socket)
+            with suppress(websockets.ConnectionClosed):
+                for _ in range(2000):
+                    await socket.ping()
+            return await end(socket)
+
+    last, code = asyncio.run(flood())
+    assert (last["type"], last["code"], code) == ("error", "too_many_frames", 1008)
+
+
 def test_a_full_service_says_when_to_come_again(service: RunningService) -> None:
     async def fill() -> tuple[int, dict[str, Any], Any]:
         async with asyncio.TaskGroup() as group:
