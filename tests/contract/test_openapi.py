@@ -19,6 +19,7 @@ from neuralmusic.errors import (
     NoiseStoreFull,
     RecordingUnreadable,
     StreamProtocolError,
+    TooManyWatchers,
 )
 from service.openapi import document_yaml
 
@@ -70,6 +71,7 @@ def test_every_error_of_a_request_is_documented_with_its_status(document: Any) -
         NoiseProfileInvalid,
         RecordingUnreadable,
         StreamProtocolError,
+        TooManyWatchers,
     )
     expected = {
         (e.status, e.code) for e in leaves() if not issubclass(e, (*elsewhere, NoiseStoreFull))
