@@ -7,12 +7,13 @@ import json
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, suppress
 from typing import Any
 
 import httpx2
 import numpy as np
 import pytest
+import websockets
 from running_service import RunningService
 from websocket_stream import PATIENCE, SECOND, START, end, opened, refusal, started, until
 
