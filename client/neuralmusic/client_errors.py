@@ -8,11 +8,15 @@ ClientError
 from __future__ import annotations
 
 import json
+import ssl
+from typing import Optional
+from urllib.parse import urlsplit
 
 from typing_extensions import Self
 
 from neuralmusic.errors import DoaError
 
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
 RETRYABLE_STATUS = frozenset({429, 502, 503, 504})
 """HTTP statuses worth a retry. A proxy answers 502 and 504 for a service that restarts; 429 passes,
 as when a robot reconnects before the service notices that its last session is over"""
@@ -26,6 +30,32 @@ class ServiceUnreachable(
     ClientError, code="unreachable", title="Service unreachable", retryable=True
 ):
     """Nothing answers at the address, or not in time."""
+
+    @classmethod
+    def at(cls, url: str, error: Exception, reason: str) -> Self:
+        """The error of a connection that cannot be made, with what to look at.
+
+        Parameters
+        ----------
+        url : str
+            Address that was tried.
+        error : Exception
+            What the HTTP or WebSocket library raised.
+        reason : str
+            The library's or the system's words for it.
+        """
+        tls = _tls_error(error)
+        if isinstance(tls, ssl.SSLCertVerificationError):
+            return cls(f"the certificate of {url} is not trusted ({tls.verify_message})")
+        if tls is not None:
+            return cls(
+                f"{url} answers, but not with TLS: use http:// or ws://, or the proxy's address"
+            )
+        network = "" if urlsplit(url).hostname in LOOPBACK else ", and listening on the network"
+        start = "neuralmusic serve" if not network else "NEURALMUSIC_HOST=0.0.0.0 neuralmusic serve"
+        return cls(
+            f"nothing answers at {url} ({reason}): is the service running there{network} ({start})?"
+        )
 
 
 class ServiceProblem(ClientError, code="service_problem", title="The service refused"):
@@ -85,3 +115,12 @@ class StreamRefused(ServiceProblem, code="stream_refused", title="Stream refused
 
 class StreamClosed(ServiceProblem, code="stream_closed", title="Stream closed"):
     """The session has ended, or cannot be resumed."""
+
+
+def _tls_error(error: Optional[BaseException]) -> Optional[ssl.SSLError]:
+    """The TLS failure behind an error, if there is one."""
+    while error is not None:
+        if isinstance(error, ssl.SSLError):
+            return error
+        error = error.__cause__ or error.__context__
+    return None

@@ -101,6 +101,4 @@ def _reaching(url: str) -> Iterator[None]:
     except httpx.TimeoutException:
         raise ServiceUnreachable(f"{url} did not answer in time") from None
     except (httpx.TransportError, httpx.InvalidURL) as error:
-        raise ServiceUnreachable(
-            f"nothing answers at {url} ({error}): is the service running there (neuralmusic serve)?"
-        ) from None
+        raise ServiceUnreachable.at(url, error, str(error)) from None

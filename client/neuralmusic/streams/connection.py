@@ -173,10 +173,7 @@ def _unreachable(url: str, error: Exception, timeout_s: float) -> ServiceUnreach
     if isinstance(error, asyncio.TimeoutError):
         return ServiceUnreachable(f"{url} did not answer within {timeout_s:g} s")
     if isinstance(error, OSError):
-        return ServiceUnreachable(
-            f"nothing answers at {url} ({_reason(error)}): is the service running there "
-            "(neuralmusic serve)?"
-        )
+        return ServiceUnreachable.at(url, error, _reason(error))
     return ServiceUnreachable(f"{url} does not answer as a WebSocket: {error}")
 
 
