@@ -14,7 +14,10 @@ WORKERS = (
     "from service.settings import Settings; s = Settings(); print(s.workers, s.stream_workers)"
 )
 THREADS = """
-import os, service, numpy as np
+import os
+from service.machine.environment import prepare_process
+prepare_process()
+import numpy as np
 a = np.random.default_rng(0).standard_normal((400, 400))
 np.linalg.eigh(a @ a.T)
 print(len(os.listdir("/proc/self/task")))
