@@ -154,7 +154,7 @@ def warn_if_open(settings: Settings) -> None:
             "NO API KEYS: the service listens on %s, and whoever reaches it there may localize, "
             "stream, watch every stream, change noise profiles and reload models. Make a key with "
             "`neuralmusic key new NAME --roles localize,stream --file keys.jsonl`, start with "
-            "NEURALMUSIC_KEYS=keys.jsonl, and let a proxy speak TLS (docs/keys.md).",
+            "NEURALMUSIC_KEYS=keys.jsonl, and let a proxy speak TLS (docs/deployment.md).",
             settings.host,
         )
 
