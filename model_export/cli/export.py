@@ -13,7 +13,9 @@ from model_export.cli.speech import add_corpora, add_rooms, licences, noises, so
 def add(commands: Any) -> None:
     """Add the command."""
     export = commands.add_parser("export", help="train the source count and write a bundle")
-    export.add_argument("--run", type=Path, required=True, help="folder of the trained run")
+    export.add_argument(
+        "--run", type=Path, required=True, help="folder of the trained run, or of a bundle"
+    )
     export.add_argument("--out", type=Path, required=True, help="folder of the bundle")
     export.add_argument("--name", help="the bundle's name (default: the configuration's)")
     export.add_argument("--version", default="0.1.0", help="the bundle's version (default 0.1.0)")
@@ -29,7 +31,8 @@ def add(commands: Any) -> None:
         nargs="+",
         default=(),
         metavar="RUN",
-        help="runs for one number of talkers each (paper-1 ...), used where the number is known",
+        help="runs for one number of talkers each (paper-1 ...), used where the number is known, "
+        "or a bundle that has such networks, for the numbers that no run has",
     )
     add_rooms(export, use=", where the source count is trained")
     add_corpora(export, required=True)

@@ -24,7 +24,12 @@ def add(commands: Any) -> None:
     train = commands.add_parser("train", help="train a network, or continue its run")
     train.add_argument("--config", choices=sorted(CONFIGS), default="any-array")
     train.add_argument("--run", type=Path, required=True, help="folder of the run")
-    train.add_argument("--init", type=Path, help="run to start from, where the config wants one")
+    train.add_argument(
+        "--init",
+        type=Path,
+        metavar="RUN",
+        help="run or bundle to start from: the one that the config names, or one to train further",
+    )
     train.add_argument(
         "--scratch", action="store_true", help="start from no run, where the config wants one"
     )
@@ -66,9 +71,13 @@ def add(commands: Any) -> None:
 
 
 def _train(arguments: argparse.Namespace) -> None:
+    from model_export.export.parameters import trained_task
     from model_export.training.train import train
 
     config = _configuration(arguments)
+    init = trained_task(arguments.init, config.scenes.known_count) if arguments.init else None
+    if init and init.task.config.variant == config.variant:
+        config = replace(config, earlier_scenes=init.record["scenes"])
     if arguments.recordings:
         scenes = _recorded(arguments, config)
     elif arguments.speech_commands is None:
@@ -79,7 +88,7 @@ def _train(arguments: argparse.Namespace) -> None:
         config,
         arguments.run,
         *scenes,
-        init=arguments.init,
+        init=init.task if init else None,
         workers=arguments.workers,
         device=device(arguments),
     )

@@ -70,10 +70,7 @@ def export_regression(
             "source_count": _graph(pipeline.count, array, "count_logits"),
         },
         _fusion({"": pipeline, **{f"_{count}": each for count, each in pipelines.items()}}),
-        parameter_arrays(
-            model=pipeline,
-            **{f"covariance_{count}": each.covariance for count, each in pipelines.items()},
-        ),
+        parameter_arrays(pipelines, model=pipeline),
         {
             count: reference_spectra(each, windows, array, task.config.level_exponent, count)
             for count, each in answering.items()

@@ -7,20 +7,21 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from model_export.export.bundle import digest
 from model_export.export.bundle_place import check_replaceable, in_the_place_of
-from model_export.export.parameters import source_count_of
+from model_export.export.parameters import (
+    TrainedTask,
+    known_networks,
+    source_count_of,
+    trained_task,
+)
 from model_export.export.regression import export_regression
 from model_export.export.weights import candidate_search, export_weights
 from model_export.simulation.room_bank import RoomBank
-from model_export.training.config import TrainingConfig
 from model_export.training.counting import CandidateCountNetwork, collect, train_counting
 from model_export.training.regression import RegressionTask
-from model_export.training.task import Task
-from model_export.training.train import load_run
 from model_export.training.weights_task import WeightsTask
 from service.doa.types import FloatArray
-from service.inference.bundle import read_manifest
+from service.inference.bundle import MANIFEST, load_bundle, read_manifest
 from service.inference.manifest import Manifest
 
 DESCRIPTIONS = {
@@ -49,9 +50,9 @@ def export_run(
 
     ``rooms`` is the folder of the room bank on which the source count is trained, if it is.
     ``source_count`` is the folder of a bundle whose source count is used instead: the teacher's,
-    for a distilled run, which gives the same candidates. ``known`` are runs of a `regression`
-    bundle's networks for one number of talkers each. ``out`` may hold a bundle, which is replaced
-    once the new one has passed its tests.
+    for a distilled run, which gives the same candidates. ``known`` are runs or bundles with a
+    `regression` bundle's networks for one number of talkers each. ``run`` may be a bundle as well.
+    ``out`` may hold a bundle, which is replaced once the new one has passed its tests.
 
     Raises
     ------
@@ -60,10 +61,11 @@ def export_run(
         networks differ from the trained ones.
     """
     check_replaceable(out)
-    config, task, step = load_run(run)
+    trained = trained_task(run)
+    task, config = trained.task, trained.task.config
     if config.variant == "sscl":
         raise ValueError(f"{run} only pretrains an encoder: train 'paper' from it and export that")
-    training = {**_record(config, task, step), "data": list(data)}
+    training = {**trained.record, "data": list(data)}
     fields = {
         "name": name or config.name,
         "version": version,
@@ -100,41 +102,49 @@ def export_run(
 
 
 def known_tasks(
-    task: RegressionTask, runs: Sequence[Path]
+    task: RegressionTask, known: Sequence[Path]
 ) -> tuple[dict[int, RegressionTask], dict[str, Any]]:
-    """The networks of runs for one number of talkers each by that number, and their records.
+    """The networks for one number of talkers each by that number, and their records.
+
+    ``known`` are runs, and bundles, which give the numbers that no run has.
 
     Raises
     ------
     ValueError
-        If a run is of another variant or of several numbers, has the number of another, or its
-        array or features differ from the task's.
+        If a run is of another variant or of several numbers, two give the same number, a bundle has
+        no such network, or an array or features differ from the task's.
     """
+    networks: dict[int, TrainedTask] = {}
+    bundles: dict[int, TrainedTask] = {}
+    for folder in known:
+        for count, trained in _known_in(folder).items():
+            place = bundles if (folder / MANIFEST).exists() else networks
+            if count in place:
+                raise ValueError(f"{folder} is the second for {count} talkers: name one")
+            place[count] = trained
+    chosen = sorted({**bundles, **networks}.items())
     tasks: dict[int, RegressionTask] = {}
-    records: dict[str, Any] = {}
-    for run in runs:
-        config, known, step = load_run(run)
-        count = config.scenes.known_count
-        if not isinstance(known, RegressionTask) or not count:
-            raise ValueError(
-                f"{run} was not trained for one number of talkers: name runs of paper-1, paper-2 "
-                "or paper-3"
-            )
-        if count in tasks:
-            raise ValueError(f"{run} is the second run for {count} talkers: name one")
-        config.check_features(task.config)
-        tasks[count], records[str(count)] = known, _record(config, known, step)
-    return dict(sorted(tasks.items())), records
+    for count, trained in chosen:
+        assert isinstance(trained.task, RegressionTask)
+        trained.task.config.check_features(task.config)
+        tasks[count] = trained.task
+    return tasks, {str(count): dict(trained.record) for count, trained in chosen}
 
 
-def _record(config: TrainingConfig, task: Task[Any], step: int) -> dict[str, Any]:
-    """The manifest's record of a run's training."""
-    return {
-        "config": config.as_dict(),
-        "steps": step,
-        "scenes": config.scenes_in(step),
-        "parameters": digest(task.model.state_dict()),
-    }
+def _known_in(folder: Path) -> dict[int, TrainedTask]:
+    if (folder / MANIFEST).exists():
+        networks = known_networks(load_bundle(folder))
+        if not networks:
+            raise ValueError(f"{folder} has no network for one number of talkers: leave it out")
+        return networks
+    trained = TrainedTask.of_run(folder)
+    count = trained.task.config.scenes.known_count
+    if not isinstance(trained.task, RegressionTask) or not count:
+        raise ValueError(
+            f"{folder} was not trained for one number of talkers: name runs of paper-1, paper-2 "
+            "or paper-3"
+        )
+    return {count: trained}
 
 
 def _count_sources(

@@ -56,6 +56,8 @@ class TrainingConfig:
     """Whether scenes are sums of single talkers from a bank, instead of drawn in a room bank"""
     starts_from: str | None = None
     """Name of the run whose parameters this one starts from"""
+    earlier_scenes: int = 0
+    """Scenes that its network had met before, where it is trained further"""
     trunk: Trunk = "strided"
     distils: bool = False
     """Whether the run that this one starts from teaches it its weights and attentions"""
@@ -83,9 +85,10 @@ class TrainingConfig:
         return self.batch_size if step < self._early_steps else self._late_batch_size
 
     def scenes_in(self, steps: int) -> int:
-        """Scenes of the first so many steps."""
+        """Scenes that the network has met after so many steps."""
         early = min(steps, self._early_steps)
-        return early * self.batch_size + (steps - early) * self._late_batch_size
+        late = (steps - early) * self._late_batch_size
+        return self.earlier_scenes + early * self.batch_size + late
 
     @property
     def _early_steps(self) -> int:

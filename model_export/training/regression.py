@@ -31,7 +31,7 @@ from model_export.training.networks.fusion import FrequencyAttentionFusion
 from model_export.training.networks.regressor import CovarianceNetwork
 from model_export.training.networks.source_count import SourceCountNetwork
 from model_export.training.precision import training_precision
-from model_export.training.reparametrize import reparametrize
+from model_export.training.reparametrize import load_plain, reparametrize
 from model_export.training.sscl import SsclTask, load_encoder
 from model_export.training.subspace import delay_products, signal_power, signal_projector
 from model_export.training.targets import target_spectrum
@@ -201,16 +201,23 @@ class RegressionTask:
         reparametrize(self.model, config)
 
     def start_from(self, start: Task[Any]) -> None:
-        """Take the encoder of the self-supervised stage; everything else stays as it is.
+        """Take a self-supervised stage's encoder, or all of a run that is trained further.
 
         Raises
         ------
         ValueError
             If ``start`` was trained on other features, another array or another encoder.
         """
-        if not isinstance(start, SsclTask):
-            raise ValueError(f"{self.config.name} starts from an `sscl` run, not from another kind")
-        load_encoder(self.model.covariance.encoder, start, self.config)
+        if isinstance(start, RegressionTask):
+            start.config.check_features(self.config)
+            load_plain(self.model, start.model.state_dict())
+        elif isinstance(start, SsclTask):
+            load_encoder(self.model.covariance.encoder, start, self.config)
+        else:
+            raise ValueError(
+                f"{self.config.name} starts from an `sscl` or a `regression` run, not from another "
+                "kind"
+            )
 
     def losses(self, batch: RegressionBatch) -> dict[str, Tensor]:
         count = batch.mask.sum(-1)

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from model_export.simulation.scenes import Scene
+from model_export.training.config import TrainingConfig
 from service.doa.array import SPEED_OF_SOUND
 from service.doa.steering import unit_vectors
 from service.doa.stft import Stft
@@ -53,6 +54,8 @@ BatchT = TypeVar("BatchT", bound=Batch, contravariant=True)
 
 class Task(Protocol[BatchT]):
     """One variant under training."""
+
+    config: TrainingConfig
 
     @property
     def model(self) -> nn.Module: ...

@@ -42,14 +42,15 @@ def train(
     scenes: SceneSource,
     validation_scenes: SceneSource,
     *,
-    init: Path | None = None,
+    init: Task[Any] | None = None,
     workers: int = 1,
     device: str = "cpu",
 ) -> Task[Any]:
     """Train until ``config.steps``, continuing from the run folder's checkpoint if there is one.
 
-    ``init`` is the folder of the run that ``config.starts_from`` names. A run may be resumed on
-    another ``device``. Without ``workers`` scenes are made between the steps.
+    ``init`` is the task of the run that ``config.starts_from`` names, or one of the same kind to
+    train further. A run may be resumed on another ``device``. Without ``workers`` scenes are made
+    between the steps.
 
     Returns
     -------
@@ -95,16 +96,21 @@ def _finished(task: Task[Any]) -> Task[Any]:
     return task
 
 
-def _start_from(config: TrainingConfig, task: Task[Any], init: Path | None) -> None:
-    """Load the parameters that the task takes over from the run that it starts from."""
-    if config.starts_from is None and init is None:
+def _start_from(config: TrainingConfig, task: Task[Any], init: Task[Any] | None) -> None:
+    """Load the parameters that the task takes over from the one that it starts from."""
+    if init is None:
+        if config.starts_from is not None:
+            raise ValueError(
+                f"{config.name} starts from {config.starts_from}: name its run as init, or start "
+                "from scratch"
+            )
         return
-    if config.starts_from is None or init is None:
-        raise ValueError(f"{config.name} starts from {config.starts_from}: name its run as init")
-    start, initial, _ = load_run(init)
-    if start.name != config.starts_from:
-        raise ValueError(f"{config.name} starts from {config.starts_from}, not from {start.name}")
-    task.start_from(initial)
+    if init.config.name != config.starts_from and init.config.variant != config.variant:
+        raise ValueError(f"{config.name} starts from {config.starts_from}, not {init.config.name}")
+    try:
+        task.start_from(init)
+    except RuntimeError as error:  # load_state_dict's
+        raise ValueError(f"{init.config.name} does not fit {config.name}: {error}") from error
 
 
 def load_run(run: Path) -> tuple[TrainingConfig, Task[Any], int]:

@@ -14,6 +14,7 @@ import torch
 
 from model_export.__main__ import main
 from model_export.export.bundle import digest
+from model_export.export.parameters import trained_task
 from model_export.export.regression import GRID_SIZE
 from model_export.export.run import known_tasks
 from model_export.training.config import ANY_ARRAY, PAPER, PAPER_KNOWN, TrainingConfig
@@ -29,7 +30,7 @@ from service.doa.spectrogram import spectrogram_features
 from service.doa.steering import azimuth_grid, steering_vectors
 from service.doa.types import ComplexArray, FloatArray
 from service.inference.bundle import FUSION, GOLDEN, Bundle, file_sha256, load_bundle
-from service.inference.registry import self_test
+from service.inference.registry import EMBEDDED_MODELS, self_test
 from service.inference.regression import RegressionLocalizer
 from service.inference.stream import stream_localizer_of
 
@@ -176,7 +177,56 @@ def test_the_manifest_tells_what_every_network_was_trained_on(
         assert record["parameters"] == digest(tasks[count].model.state_dict())
     with np.load(folder / "parameters.npz") as arrays:
         for name, tensor in tasks[2].model.covariance.state_dict().items():
-            np.testing.assert_array_equal(arrays[f"covariance_2.{name}"], tensor.numpy())
+            np.testing.assert_array_equal(arrays[f"known_2.covariance.{name}"], tensor.numpy())
+
+
+def test_a_network_is_trained_further_from_its_bundle(
+    folder: Path, tasks: dict[int, RegressionTask], spectra: ComplexArray
+) -> None:
+    start = trained_task(folder, known_count=2)
+    further = RegressionTask(replace(PAPER_KNOWN[1], starts_from=None))
+    further.start_from(start.task)
+    further.model.eval()
+    for window in spectra[:2]:
+        np.testing.assert_allclose(
+            alone(further, window, 2), alone(tasks[2], window, 2), atol=TOLERANCE
+        )
+    with pytest.raises(ValueError, match="trained with level_exponent"):
+        RegressionTask(replace(PAPER_KNOWN[1], level_exponent=0.0)).start_from(start.task)
+
+
+def test_a_bundle_gives_the_networks_that_no_run_has(
+    folder: Path, runs: dict[int, Path], tasks: dict[int, RegressionTask], tmp_path: Path
+) -> None:
+    other = untrained(tmp_path / "other", PAPER_KNOWN[1], 7)
+    known, records = known_tasks(tasks[0], [other, folder])
+    same, other_state = tasks[1].model.covariance.state_dict(), task(other).model.state_dict()
+    for name, tensor in known[1].model.covariance.state_dict().items():
+        torch.testing.assert_close(tensor, same[name], rtol=0, atol=0)
+    assert records["1"] == load_bundle(folder).manifest.training["known"]["1"]
+    assert records["2"]["parameters"] == digest(other_state)
+    with pytest.raises(ValueError, match="has no network for one number"):
+        known_tasks(tasks[0], [EMBEDDED_MODELS / "any-array"])
+
+
+@pytest.mark.learns
+def test_the_scenes_of_a_bundle_and_of_what_is_trained_from_it_add_up(
+    folder: Path, corpus: Path, singles: Path, tmp_path: Path
+) -> None:
+    path = folder / "bundle.json"
+    fields = json.loads(path.read_text())
+    fields["training"]["known"]["2"]["scenes"] = 1000
+    copied = Path(shutil.copytree(folder, tmp_path / "copy"))
+    (copied / "bundle.json").write_text(json.dumps(fields))
+    command = ["train", "--config", "paper-2", "--run", str(tmp_path / "run"), "--smoke"]
+    speech = ["--speech-commands", str(corpus), "--singles", str(singles)]
+    assert main([*command, *speech, "--init", str(copied)]) == 0
+    out = ["--out", str(tmp_path / "out"), "--speech-commands", str(corpus)]
+    known = ["--known", str(tmp_path / "run"), str(copied)]
+    assert main(["export", "--run", str(copied), *out, *known]) == 0
+    training = load_bundle(tmp_path / "out").manifest.training
+    assert training["known"]["2"]["scenes"] == 1000 + 4 * 4
+    assert training["known"]["1"] == fields["training"]["known"]["1"]
 
 
 @pytest.fixture
@@ -248,7 +298,7 @@ def test_an_array_that_is_missing_is_named(copy: Path, file: str, name: str) -> 
         ),
         (PAPER, "not trained for one number"),
         (ANY_ARRAY, "not trained for one number"),
-        (PAPER_KNOWN[0], "second run for 1 talkers"),
+        (PAPER_KNOWN[0], "is the second for 1 talkers"),
     ],
 )
 def test_runs_that_do_not_belong_together_are_refused(
