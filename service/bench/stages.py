@@ -56,7 +56,7 @@ def window_stages(
     principals = [principal_eigenvectors(covariance) for covariance in covariances]
     yield "spectrum", lambda principal: search.cell_spectra(principal[0]), principals
     fields = [
-        search.field_of_chosen(search.cell_spectra(vectors), attention, blocks, dominance)
+        search.field_of_chosen(vectors, attention, blocks, dominance)
         for (vectors, dominance), attention, blocks in zip(principals, means, chosen, strict=True)
     ]
     found = [(field, find_findings(field)) for field in fields]

@@ -56,8 +56,20 @@ def steering_vectors(
     -------
     steering : (F, N, A) complex64
     """
+    directions = unit_vectors(azimuth, elevation)
+    return direction_steering(positions, frequencies, directions, speed_of_sound=speed_of_sound)
+
+
+def direction_steering(
+    positions: FloatArray,
+    frequencies: FloatArray,
+    directions: FloatArray,
+    *,
+    speed_of_sound: float = SPEED_OF_SOUND,
+) -> ComplexArray:
+    """``steering_vectors`` (F, N, A) complex64 of unit vectors (A, 3)."""
     centred = positions - positions.mean(axis=0)
-    delays = centred @ unit_vectors(azimuth, elevation).T / speed_of_sound  # (N, A) seconds
+    delays = centred @ directions.T / speed_of_sound  # (N, A) seconds
     phase = 2 * np.pi * frequencies[:, None, None] * delays[None]
     steering: ComplexArray = np.exp(1j * phase).astype(np.complex64)
     return steering
@@ -79,7 +91,23 @@ def resolution(
     frequencies : (F,) float
         Hertz.
     """
-    horizontal = positions[:, None, :2] - positions[None, :, :2]
-    distance = np.linalg.norm(horizontal, axis=-1)  # (N, N)
-    argument = 2 * np.pi * frequencies[:, None, None] * distance / speed_of_sound
+    argument = _phases(positions[:, :2], frequencies, speed_of_sound)
     return float(1 - np.square(scipy.special.j0(argument)).mean())
+
+
+def sphere_resolution(
+    positions: FloatArray, frequencies: FloatArray, *, speed_of_sound: float = SPEED_OF_SOUND
+) -> float:
+    """How far an array tells directions of the sphere apart, as ``resolution`` does azimuths.
+
+    The mean of a_i conj(a_j) over the sphere is sin(k d_ij) / (k d_ij) with the distance d.
+    """
+    argument = _phases(positions, frequencies, speed_of_sound)
+    return float(1 - np.square(np.sinc(argument / np.pi)).mean())
+
+
+def _phases(positions: FloatArray, frequencies: FloatArray, speed_of_sound: float) -> FloatArray:
+    """Largest phase differences (F, N, N) between microphones (N, 2 or 3), radians."""
+    distance = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
+    phases: FloatArray = 2 * np.pi * frequencies[:, None, None] * distance / speed_of_sound
+    return phases

@@ -6,94 +6,16 @@ They depend on the array's geometry only by its number of microphones and its re
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from service.doa.array import MicrophoneArray
-from service.doa.peaks import Peak, circular_difference
-from service.doa.types import BoolArray, FloatArray, IntArray
+from service.doa.types import FloatArray
+from service.inference.field import Field, FoundCandidate
 
 NUM_DESCRIPTORS = 21
 SHARP_LEVEL = 0.9
 TINY = np.finfo(np.float32).tiny
 """Least divisor"""
-NEIGHBOURHOOD = np.deg2rad(20.0)
-"""Radians around a candidate in which blocks' peaks are compared: they agree for one talker, not
-for two close ones"""
-
-
-@dataclass(frozen=True)
-class Field:
-    """The C cells of one window in which candidates are found; A azimuths, K blocks.
-
-    Cells are ordered by bin (or pair of bins), with the same number in each.
-    """
-
-    cells: FloatArray
-    """(C, A) float32 MUSIC spectra, maximum 1 each"""
-    attention: FloatArray
-    """(C,) float32, non-negative"""
-    dominance: FloatArray
-    """(C,) float32 in (0, 1]"""
-    block: IntArray
-    """(C,) block of every cell; the last of K is the whole window"""
-    num_bins: int
-    num_blocks: int
-    """K, the whole window included"""
-    array: MicrophoneArray
-    resolution: float
-    """Resolution of the array, from ``service.doa.steering.resolution``"""
-
-    @property
-    def total(self) -> float:
-        """Sum of the attention."""
-        return float(self.attention.sum())
-
-    @property
-    def of_block(self) -> FloatArray:
-        """(K, C) float32: 1 where a cell belongs to a block."""
-        same: BoolArray = self.block == np.arange(self.num_blocks)[:, None]
-        return same.astype(np.float32)
-
-    def in_bins(self, weights: FloatArray) -> FloatArray:
-        """Sums (..., F) over each bin's cells of (..., C)."""
-        count = len(self.block) // self.num_bins
-        cells = weights.reshape(*weights.shape[:-1], self.num_bins, count)
-        sums: FloatArray = cells @ np.ones(count, dtype=np.float32)  # a short axis sums slowly
-        return sums
-
-    def around(self, index: int, reach: int) -> FloatArray:
-        """(C, 2 reach + 1) spectra up to ``reach`` azimuths around an index, on the circle.
-
-        The result is a view where possible.
-        """
-        first, last, size = index - reach, index + reach + 1, self.cells.shape[1]
-        if first >= 0 and last <= size:
-            return self.cells[:, first:last]
-        return np.concatenate([self.cells[:, first % size :], self.cells[:, : last % size]], axis=1)
-
-
-@dataclass(frozen=True, slots=True)
-class FoundCandidate:
-    """One candidate and the state in which it was found."""
-
-    peaks: Sequence[Peak]
-    """The highest peak and, if there is one, the second"""
-    index: int
-    """Grid index of the highest peak"""
-    fused: FloatArray
-    """(A,) fused spectrum of the cells that remained before it"""
-    pointing: FloatArray
-    """(C,) spectra of the cells at the peak"""
-    support: FloatArray
-    """(C,) attention of the cells that belong to it"""
-    remaining: FloatArray
-    """(C,) attention that remained before it"""
-
-    @property
-    def azimuth(self) -> float:
-        return self.peaks[0].azimuth
 
 
 def describe(field: Field, findings: Sequence[FoundCandidate]) -> FloatArray:
@@ -110,13 +32,13 @@ def describe(field: Field, findings: Sequence[FoundCandidate]) -> FloatArray:
     dominant = support @ field.dominance / np.maximum(mass, 1e-9)
     cells = field.num_blocks * field.num_bins  # includes those that were never computed
     columns = [
-        *_peak_shapes(findings),
+        *_peak_shapes(field, findings),
         mass,
         _spread(in_time),
         _spread(in_bins),
         remaining.sum(axis=1) / total,
         findings[0].fused[[found.index for found in findings]],
-        _nearest_earlier([found.azimuth for found in findings]),
+        _nearest_earlier(field, findings),
         field.attention @ field.dominance / total,
         0.1 * np.log(total / cells + 1e-6),  # loudness
         field.array.num_microphones / 8,
@@ -132,24 +54,21 @@ def describe(field: Field, findings: Sequence[FoundCandidate]) -> FloatArray:
     return descriptors
 
 
-def _peak_shapes(findings: Sequence[FoundCandidate]) -> tuple[FloatArray, ...]:
+def _peak_shapes(field: Field, findings: Sequence[FoundCandidate]) -> tuple[FloatArray, ...]:
     """Peak heights, spectra's means, second peaks against the first, falls over 10 degrees."""
     fused = np.array([found.fused for found in findings])
-    rows, size = np.arange(len(findings)), fused.shape[1]
-    index = np.array([found.index for found in findings])
-    step = max(1, round(size / 36))
-    sides = (fused[rows, index - step] + fused[rows, (index + step) % size]) / 2
-    heights = np.array([found.peaks[0].height for found in findings])
-    second = np.array([found.peaks[1].height if len(found.peaks) > 1 else 0 for found in findings])
-    return heights, fused.sum(axis=1) / size, second / heights, sides / heights
+    heights = np.array([found.heights[0] for found in findings])
+    second = np.array([found.heights[1] if len(found.heights) > 1 else 0 for found in findings])
+    sides = field.sides(findings)
+    return heights, fused.sum(axis=1) / fused.shape[1], second / heights, sides / heights
 
 
-def _nearest_earlier(azimuths: Sequence[float]) -> FloatArray:
+def _nearest_earlier(field: Field, findings: Sequence[FoundCandidate]) -> FloatArray:
     """(n,) distance of every candidate to the nearest earlier one, in units of pi."""
     return np.array(
         [
-            min((abs(circular_difference(a, b)) for b in azimuths[:rank]), default=np.pi) / np.pi
-            for rank, a in enumerate(azimuths)
+            min((field.between(found, other) for other in findings[:rank]), default=np.pi) / np.pi
+            for rank, found in enumerate(findings)
         ]
     )
 
@@ -174,21 +93,18 @@ def _disagreement(
     The drift is the part of the spread that follows time: talkers that take turns. ``attention``
     (K - 1, n, C) remained before each candidate; ``weight`` (n, K - 1) weighs the blocks.
     """
-    size = findings[0].fused.size
-    reach = round(NEIGHBOURHOOD / (2 * np.pi) * size)
-    blocks = np.array(
+    offset = np.array(
         [
-            each @ field.around(found.index, reach)
+            field.block_peaks(found, each)
             for each, found in zip(attention.swapaxes(0, 1), findings, strict=True)
         ]
-    )  # (n, K - 1, 2 reach + 1)
-    offset = (blocks.argmax(axis=2) - reach) * np.float32(36.0 / size)
+    ) * np.float32(18 / np.pi)  # (n, K - 1, 1 or 2)
     mass = np.maximum(weight.sum(axis=1), TINY)
-    mean = np.vecdot(weight, offset) / mass
+    mean = (weight[..., None] * offset).sum(axis=1) / mass[:, None]
     offset -= mean[:, None]
-    spread = np.sqrt(np.vecdot(weight, np.square(offset)) / mass)
+    spread = np.sqrt(np.vecdot(weight, np.square(offset).sum(axis=-1)) / mass)
     steps = np.minimum(weight[:, 1:], weight[:, :-1])
-    moved = np.vecdot(steps, np.abs(offset[:, 1:] - offset[:, :-1]))
+    moved = np.vecdot(steps, np.linalg.norm(offset[:, 1:] - offset[:, :-1], axis=-1))
     return spread, moved / np.maximum(steps.sum(axis=1), 1e-9)
 
 

@@ -44,6 +44,8 @@ class RecentBlocks:
         """(WINDOW_BLOCKS, F) means over eight frames; missing frames count as zero"""
         self._dominance: FloatArray
         """(WINDOW_BLOCKS + 1, F)"""
+        self._principal: ComplexArray
+        """(WINDOW_BLOCKS + 1, F, N)"""
         self._cells: FloatArray | None = None
         """(F, WINDOW_BLOCKS + 1, A) MUSIC spectra, from the first result on"""
 
@@ -62,6 +64,8 @@ class RecentBlocks:
             self._covariance = np.zeros_like(covariance, shape=shape)
             self._attention = np.zeros((WINDOW_BLOCKS, attention.shape[1]), dtype=np.float32)
             self._dominance = np.zeros((WINDOW_BLOCKS + 1, attention.shape[1]), dtype=np.float32)
+            places, (_, bins, microphones, _) = WINDOW_BLOCKS + 1, covariance.shape
+            self._principal = np.zeros((places, bins, microphones), dtype=np.complex64)
         self._last = self._passed + len(covariance)
         for number in range(max(self._passed, self._last - WINDOW_BLOCKS), self._last):
             place = number % WINDOW_BLOCKS
@@ -80,16 +84,17 @@ class RecentBlocks:
         self._complete(recency)
         attention = self._attention[:count] * recency
         assert self._cells is not None
-        cells, dominance = self._cells, self._dominance
+        cells, dominance, principal = self._cells, self._dominance, self._principal
         if count < WINDOW_BLOCKS:
             rows = [*range(count), WINDOW_BLOCKS]
-            cells, dominance = cells[:, rows], dominance[rows]
+            cells, dominance, principal = cells[:, rows], dominance[rows], principal[rows]
         field = self._search.field(
             cells,
             np.concatenate([attention, attention.sum(axis=0, keepdims=True)]),
             np.repeat([[*age.tolist(), count]], len(cells), axis=0).ravel(),
             count,
             dominance,
+            principal,
         )
         return find_candidates(field)
 
@@ -110,4 +115,5 @@ class RecentBlocks:
         places = [*self._stale, WINDOW_BLOCKS]
         self._cells[:, places] = cells
         self._dominance[places] = dominance
+        self._principal[places] = principal
         self._stale.clear()

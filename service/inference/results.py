@@ -20,6 +20,8 @@ class Source:
     """0 to 1: the chance that a source is within 10 degrees of there"""
     id: int | None = None
     """Id of the source's track; None before there is one"""
+    elevation: float | None = None
+    """Radians above the horizontal plane; None where the array or the method tells none"""
 
     def __post_init__(self) -> None:
         """Bring into range what rounding took out of it: a softmax's sum of 1.0000001, say.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain, starmap
 
 import numpy as np
@@ -13,16 +14,25 @@ from service.doa.covariance import chosen_and_sum, diagonal_loading, weighted_co
 from service.doa.evd import principal_eigenvector
 from service.doa.features import coherences, unit_vectors_and_power, window_features
 from service.doa.fusion import sigmoid
+from service.doa.hemisphere import Hemisphere, searched_directions
 from service.doa.rank_one import RankOneMusic, shared_music
-from service.doa.steering import azimuth_grid, resolution, steering_vectors
+from service.doa.sphere import NUM_AZIMUTHS
+from service.doa.steering import (
+    azimuth_grid,
+    direction_steering,
+    resolution,
+    sphere_resolution,
+    steering_vectors,
+)
 from service.doa.stft import Stft
 from service.doa.types import ComplexArray, FloatArray, IntArray
 from service.doa.whitening import NoiseCovariance, Whitening
 from service.inference.bundle import Bundle
 from service.inference.candidates import Candidates, find_candidates
-from service.inference.descriptors import Field
 from service.inference.engine import Engine
+from service.inference.field import Field
 from service.inference.results import Source, WindowEstimate
+from service.inference.sphere_field import Sphere, SphereField
 from service.inference.windows import Stretch, sliding
 
 BLOCK_FRAMES = 8
@@ -75,6 +85,7 @@ class CandidateSearch:
         analysis: Analysis,
         array: MicrophoneArray,
         noise: NoiseCovariance | None = None,
+        hemisphere: Hemisphere = "both",
     ) -> None:
         self._covariance = covariance
         self._array = array
@@ -82,18 +93,30 @@ class CandidateSearch:
         self._bins = slice(analysis.first_bin, analysis.first_bin + analysis.num_bins)
         every = analysis.stft.frequencies[self._bins]
         frequencies = every.reshape(-1, analysis.bins_per_cell).mean(axis=-1)
-        grid_size = analysis.grid_size * (1 if array.aperture <= SMALL_APERTURE else 2)
-        self.grid_size = grid_size
-        # The floor shrinks for small arrays, whose spectra would else be one broad peak.
-        self._resolution = resolution(array.positions, frequencies)
-        floor = analysis.floor * self._resolution
-        self._whitening: Whitening | None = None
-        if noise is None:
-            self._music = shared_music(array.positions, frequencies, grid_size, floor)
+        whitening = None
+        if noise is not None:
+            whitening = Whitening.fitting(noise, array, analysis.stft).band(self._bins)
+        self._whitening = whitening
+        directions = searched_directions(array, hemisphere)
+        self._sphere: Sphere | None = None
+        if directions is None:
+            grid_size = analysis.grid_size * (1 if array.aperture <= SMALL_APERTURE else 2)
+            self.grid_size = grid_size
+            # The floor shrinks for small arrays, whose spectra would else be one broad peak.
+            self._resolution = resolution(array.positions, frequencies)
+            floor = analysis.floor * self._resolution
+            if whitening is None:
+                self._music = shared_music(array.positions, frequencies, grid_size, floor)
+            else:
+                steering = steering_vectors(array.positions, frequencies, azimuth_grid(grid_size))
+                self._music = RankOneMusic(whitening.steering(steering), floor)
         else:
-            steering = steering_vectors(array.positions, frequencies, azimuth_grid(grid_size))
-            self._whitening = Whitening.fitting(noise, array, analysis.stft).band(self._bins)
-            self._music = RankOneMusic(self._whitening.steering(steering), floor)
+            self.grid_size = NUM_AZIMUTHS
+            self._resolution = sphere_resolution(array.positions, frequencies)
+            floor = analysis.floor * self._resolution
+            steering_of = partial(_steering, array.positions, frequencies, whitening)
+            self._sphere = Sphere(directions, steering_of, floor)
+            self._music = RankOneMusic(steering_of(directions.vectors), floor)
 
     def candidates(self, windows: FloatArray) -> Iterator[Candidates]:
         """Candidate sources of every window (B, N, T), before counting.
@@ -139,21 +162,28 @@ class CandidateSearch:
         means = block_means(attention)
         chosen = strongest_blocks(means, self._analysis.kept_share)
         principal, dominance = principal_eigenvectors(cell_covariances(unit, weights, chosen))
-        cells = self.cell_spectra(principal)
-        return find_candidates(self.field_of_chosen(cells, means, chosen, dominance))
+        return find_candidates(self.field_of_chosen(principal, means, chosen, dominance))
 
     def field_of_chosen(
-        self, cells: FloatArray, attention: FloatArray, chosen: IntArray, dominance: FloatArray
+        self,
+        principal: ComplexArray,
+        attention: FloatArray,
+        chosen: IntArray,
+        dominance: FloatArray,
     ) -> Field:
-        """The ``field`` of the blocks (R, F) chosen in every bin, with all attention (K, F)."""
+        """The ``field`` of the blocks (R, F) chosen in every bin, with all attention (K, F).
+
+        ``principal`` (R + 1, F, N) are their eigenvectors and the whole window's.
+        """
         whole = np.full((1, chosen.shape[1]), len(attention))
         total = attention.sum(axis=0, keepdims=True)
         return self.field(
-            cells,
+            self.cell_spectra(principal),
             np.concatenate([np.take_along_axis(attention, chosen, axis=0), total]),
             np.concatenate([chosen, whole]).T.ravel(),
             len(attention),
             dominance,
+            principal,
         )
 
     def field(
@@ -163,6 +193,7 @@ class CandidateSearch:
         block: IntArray,
         blocks: int,
         dominance: FloatArray,
+        principal: ComplexArray,
     ) -> Field:
         """The field in which candidates are found: R blocks of every bin and its whole window.
 
@@ -177,10 +208,11 @@ class CandidateSearch:
         blocks : int
             Number of blocks.
         dominance : (R + 1, F)
+        principal : (R + 1, F, N)
         """
         attended = attention * dominance**self._analysis.dominance_power
         attended[-1] *= np.float32(self._analysis.window_share)
-        return Field(
+        parts = (
             cells.reshape(-1, cells.shape[-1]),
             attended.T.ravel(),
             dominance.T.ravel(),
@@ -190,6 +222,9 @@ class CandidateSearch:
             self._array,
             self._resolution,
         )
+        if self._sphere is None:
+            return Field(*parts)
+        return SphereField(*parts, np.swapaxes(principal, 0, 1), self._sphere)
 
     def spectra(self, windows: FloatArray) -> ComplexArray:
         """STFT of the band in whole blocks of frames: (B, N, F, L) complex64, whitened.
@@ -220,6 +255,17 @@ class CandidateSearch:
     def cell_spectra(self, principal: ComplexArray) -> FloatArray:
         """Rank-one MUSIC of every cell: (R, F, N) to (F, R, A) float32, maximum 1 each."""
         return self._music.spectra(principal)
+
+
+def _steering(
+    positions: FloatArray,
+    frequencies: FloatArray,
+    whitening: Whitening | None,
+    directions: FloatArray,
+) -> ComplexArray:
+    """Steering vectors (F, N, P) of directions (P, 3), whitened."""
+    steering = direction_steering(positions, frequencies, directions)
+    return steering if whitening is None else whitening.steering(steering)
 
 
 def whole_blocks(frames: int) -> int:
@@ -310,10 +356,10 @@ class SourceCounter:
         if count is None:
             count, least = min(int(np.argmax(count_logits[0])), max_sources), LEAST_CONFIDENCE
         kept = surest(confidence[: len(window.findings)], count, least)
-        azimuths = window.directions(kept) if self._together else window.azimuth[kept].tolist()
+        found = window.refined(kept) if self._together else [window.directions[i] for i in kept]
         sources = tuple(
-            Source(azimuth, float(confidence[index]))
-            for azimuth, index in zip(azimuths, kept, strict=True)
+            Source(azimuth, float(confidence[index]), elevation=elevation)
+            for (azimuth, elevation), index in zip(found, kept, strict=True)
         )
         return WindowEstimate(sources, window.fused)
 

@@ -1,0 +1,57 @@
+"""The directions in which an array's sources are searched: azimuths, the sphere or a half of it.
+
+An array hears a direction and its mirror image behind a line or a plane of its microphones alike.
+A level array therefore tells elevations only where the user says on which side of it sources are.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from service.doa.array import MicrophoneArray
+from service.doa.sphere import DirectionGrid, half_sphere, whole_sphere
+from service.doa.types import FloatArray
+
+Hemisphere = Literal["both", "upper", "lower"]
+"""Where sources are: above the array, below it, or both"""
+THICKNESS = 0.1
+"""Least share of an array's second largest extent that its smallest must have in three dimensions:
+flatter ones tell a direction from its mirror image in their plane only at the highest frequencies"""
+LEAST_HEIGHT = 0.008
+"""Metres, the least such extent"""
+SIDES = {"upper": 1.0, "lower": -1.0}
+
+
+def searched_directions(
+    array: MicrophoneArray, hemisphere: Hemisphere = "both"
+) -> DirectionGrid | None:
+    """The grid of an array's directions; None where it tells azimuths only."""
+    extents, axes = _extents(array)
+    if extents[1] < max(LEAST_HEIGHT, THICKNESS * extents[0]):
+        return None  # a line
+    side = SIDES.get(hemisphere)
+    if extents[2] >= max(LEAST_HEIGHT, THICKNESS * extents[1]):
+        return whole_sphere() if side is None else half_sphere(np.array([0.0, 0.0, side]))
+    normal = axes[2]
+    if side is not None:
+        return half_sphere(normal * np.copysign(side, normal[2]))
+    if abs(normal[2]) > np.sqrt(0.5):
+        return None  # level: its images are above and below
+    return half_sphere(facing(normal))
+
+
+def facing(normal: FloatArray) -> FloatArray:
+    """The normal (3,) of an upright plane that points to +x, or to +y of a plane along x."""
+    x, y = normal[:2]
+    forward = x if abs(x) > 1e-9 else y
+    return normal if forward > 0 else -normal
+
+
+def _extents(array: MicrophoneArray) -> tuple[FloatArray, FloatArray]:
+    """Extents (3,) in metres along the axes (3, 3) of an array, the largest first."""
+    centred = array.positions - array.positions.mean(axis=0)
+    axes = np.linalg.svd(centred, full_matrices=True)[2]
+    extents: FloatArray = np.ptp(centred @ axes.T, axis=0)
+    return extents, axes

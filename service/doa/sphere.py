@@ -1,0 +1,170 @@
+"""Grids of directions on the sphere, and the peaks of a spatial spectrum on them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import numpy as np
+import scipy.sparse
+
+from service.doa.peaks import wrapped
+from service.doa.steering import unit_vectors
+from service.doa.types import FloatArray, IntArray
+
+FREQUENCY = 8
+"""Parts of an icosahedron's edge in the grid: 642 directions, neighbours 7 to 9 degrees apart"""
+MIN_SEPARATION = np.deg2rad(10.0)
+"""Radians; of two maxima closer than this only the higher one counts"""
+NUM_AZIMUTHS = 180
+"""Azimuths of the spectrum that is left where elevations are taken together"""
+SMOOTHING = np.deg2rad(5.0)
+"""Standard deviation of the weights by which a direction's value is taken from its neighbours'"""
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionGrid:
+    """D directions that cover the sphere or a half of it evenly."""
+
+    vectors: FloatArray
+    """(D, 3) unit vectors; on the whole sphere the second half is opposite the first"""
+    neighbours: IntArray
+    """(D, 6) indices of the nearest directions; its own where there are fewer"""
+
+    @property
+    def size(self) -> int:
+        return len(self.vectors)
+
+    @property
+    def azimuth(self) -> FloatArray:
+        """(D,) radians in [0, 2 pi)."""
+        azimuth: FloatArray = np.arctan2(self.vectors[:, 1], self.vectors[:, 0])
+        return azimuth % (2 * np.pi)
+
+    @property
+    def elevation(self) -> FloatArray:
+        """(D,) radians above the horizontal plane."""
+        return np.arcsin(np.clip(self.vectors[:, 2], -1, 1))
+
+    def within(self, index: int, reach: float) -> IntArray:
+        """Indices of the directions at most ``reach`` radians from one of them."""
+        return np.flatnonzero(self.vectors @ self.vectors[index] >= math.cos(reach))
+
+    def azimuth_spectrum(self, spectrum: FloatArray) -> FloatArray:
+        """The maximum (A,) over the elevations of values (D,), interpolated."""
+        image: FloatArray = self._image_weights @ spectrum
+        return image.reshape(-1, NUM_AZIMUTHS).max(axis=0)
+
+    @cached_property
+    def _image_weights(self) -> scipy.sparse.csr_array:
+        """(E A, D) shares of the grid's values in an image of elevations and azimuths."""
+        azimuth = np.arange(NUM_AZIMUTHS) * (2 * np.pi / NUM_AZIMUTHS)
+        elevation = np.deg2rad(np.arange(-85, 90, 10))
+        wanted = unit_vectors(*np.meshgrid(azimuth, elevation)).reshape(-1, 3)
+        closeness = wanted @ self.vectors.T
+        near = np.argsort(-closeness, axis=1)[:, :6]
+        angle = np.arccos(np.clip(np.take_along_axis(closeness, near, axis=1), -1, 1))
+        weights = np.exp(-np.square(angle / SMOOTHING) / 2)
+        # Directions that the grid does not cover have no value.
+        weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-3)
+        rows = np.repeat(np.arange(len(wanted)), near.shape[1])
+        shares = (weights.astype(np.float32).ravel(), (rows, near.ravel()))
+        return scipy.sparse.csr_array(shares, shape=(len(wanted), self.size))
+
+    def peaks(self, spectrum: FloatArray, most: int) -> list[int]:
+        """Indices of the largest local maxima of (D,) values, highest first.
+
+        A constant spectrum has none. Of maxima closer than ``MIN_SEPARATION`` the higher one counts.
+        """
+        around = spectrum[self.neighbours]
+        highest = (spectrum >= around.max(axis=1)) & (spectrum > around.min(axis=1))
+        found = np.flatnonzero(highest)
+        kept: list[int] = []
+        for index in found[np.argsort(-spectrum[found], kind="stable")].tolist():
+            if len(kept) == most:
+                break
+            near = self.vectors[kept] @ self.vectors[index] > math.cos(MIN_SEPARATION)
+            if not near.any():
+                kept.append(index)
+        return kept
+
+
+@cache
+def whole_sphere() -> DirectionGrid:
+    """The directions of a geodesic grid: the vertices of a divided icosahedron."""
+    return _grid(_icosphere(FREQUENCY))
+
+
+def half_sphere(normal: FloatArray) -> DirectionGrid:
+    """The directions of ``whole_sphere`` on one side of a plane through the origin.
+
+    ``normal`` (3,) points to the side that is kept; directions in the plane belong to it.
+    """
+    vectors = whole_sphere().vectors
+    return _grid(vectors[vectors @ normal >= -1e-9])
+
+
+def angle_between(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Great-circle angles (...) in radians between unit vectors (..., 3)."""
+    # The arc cosine loses half of the digits near 0.
+    across = np.linalg.norm(np.cross(first, second), axis=-1)
+    return np.asarray(np.arctan2(across, np.sum(first * second, axis=-1)))
+
+
+def azimuth_elevation(vector: FloatArray) -> tuple[float, float]:
+    """Azimuth in [0, 2 pi) and elevation in radians of a vector (3,)."""
+    x, y, z = vector.tolist()
+    return wrapped(math.atan2(y, x)), math.atan2(z, math.hypot(x, y))
+
+
+def tangents(vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Two unit vectors square to a direction and to each other: to its left, and upwards."""
+    azimuth, elevation = azimuth_elevation(vector)
+    left = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+    return left, unit_vectors(np.array(azimuth), elevation + math.pi / 2)
+
+
+def moved(vector: FloatArray, left: FloatArray, up: FloatArray) -> FloatArray:
+    """Unit vectors (..., 3) at angles (...) in radians to the left of and above a direction."""
+    leftwards, upwards = tangents(vector)
+    tangent = left[..., None] * leftwards + up[..., None] * upwards
+    angle = np.linalg.norm(tangent, axis=-1, keepdims=True)
+    return np.asarray(np.cos(angle) * vector + np.sinc(angle / np.pi) * tangent)
+
+
+def _grid(vectors: FloatArray) -> DirectionGrid:
+    closeness = vectors @ vectors.T
+    order = np.argsort(-closeness, axis=1)[:, 1:7]
+    # Twelve vertices of the icosahedron have five neighbours, those at an edge of a half fewer.
+    reach = 1.45 * np.arccos(np.clip(np.sort(closeness, axis=1)[:, -2], -1, 1)).max()
+    near = np.take_along_axis(closeness, order, axis=1) >= math.cos(reach)
+    own = np.arange(len(vectors))[:, None]
+    return DirectionGrid(vectors, np.where(near, order, own))
+
+
+def _icosphere(frequency: int) -> FloatArray:
+    """(D, 3) vertices of an icosahedron of divided edges on the sphere, opposite ones D / 2 apart."""
+    golden = (1 + math.sqrt(5)) / 2
+    corners = np.array([(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)], dtype=np.float64)
+    corners = np.concatenate([np.roll(corners, shift, axis=1) for shift in range(3)])
+    corners /= np.linalg.norm(corners, axis=1, keepdims=True)
+    edge = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
+    adjacent = np.isclose(edge, np.min(edge[edge > 0]))
+    points = []
+    for i, j, k in np.argwhere(np.ones((12, 12, 12))):
+        if i < j < k and adjacent[i, j] and adjacent[j, k] and adjacent[i, k]:
+            for a in range(frequency + 1):
+                for b in range(frequency + 1 - a):
+                    shares = np.array([a, b, frequency - a - b]) / frequency
+                    points.append(shares @ corners[[i, j, k]])
+    vectors = np.array(points)
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    vectors = vectors[np.unique(np.round(vectors, 9), axis=0, return_index=True)[1]]
+    rounded = np.round(vectors, 9)
+    # Opposite directions: one of each pair, then the others in the same order.
+    first_positive = np.array(
+        [next(v for v in row[::-1] if v != 0) > 0 for row in rounded.tolist()]
+    )
+    half = vectors[first_positive]
+    return np.concatenate([half, -half])
