@@ -77,8 +77,8 @@ class DirectionGrid:
 
         A constant spectrum has none. Of maxima closer than ``MIN_SEPARATION`` the higher one counts.
         """
-        around = spectrum[self.neighbours]
-        highest = (spectrum >= around.max(axis=1)) & (spectrum > around.min(axis=1))
+        around = spectrum[self.neighbours.T]
+        highest = (spectrum >= around.max(axis=0)) & (spectrum > around.min(axis=0))
         found = np.flatnonzero(highest)
         kept: list[int] = []
         for index in found[np.argsort(-spectrum[found], kind="stable")].tolist():
@@ -88,6 +88,46 @@ class DirectionGrid:
             if not near.any():
                 kept.append(index)
         return kept
+
+    def vertex(self, spectrum: FloatArray, index: int) -> FloatArray:
+        """Unit vector (3,) to a peak's vertex between a direction and its neighbours."""
+        if index not in self._paraboloids:
+            axes = np.array(tangents(self.vectors[index]))
+            places = self.vectors[self.neighbours[index]] @ axes.T
+            self._paraboloids[index] = axes, Paraboloid(places)
+        axes, paraboloid = self._paraboloids[index]
+        place = paraboloid.vertex(spectrum[index], spectrum[self.neighbours[index]])
+        return on_sphere(self.vectors[index], axes, place)
+
+    @cached_property
+    def _paraboloids(self) -> dict[int, tuple[FloatArray, Paraboloid]]:
+        return {}
+
+
+class Paraboloid:
+    """A paraboloid through a value and six around it, as ``parabolic_offset`` in one dimension.
+
+    ``places`` (6, 2) are those of the six values, relative to the first.
+    """
+
+    def __init__(self, places: FloatArray) -> None:
+        x, y = places.T
+        self._coefficients = np.linalg.pinv(np.stack([x, y, x * x, y * y, x * y], axis=1))
+        self._most = float(np.hypot(x, y).max()) / 2
+
+    def vertex(self, value: float, around: FloatArray) -> FloatArray:
+        """Place (2,) of the vertex, at most half way to the six; 0 where there is none.
+
+        The paraboloid is laid through the reciprocals of the first value and the six (6,).
+        """
+        rise = 1 / around - 1 / value if around.min() > 0 else value - around
+        slope_x, slope_y, xx, yy, xy = (self._coefficients @ rise).tolist()
+        determinant = 4 * xx * yy - xy * xy
+        if not (xx > 0 and determinant > 0):
+            return np.zeros(2)
+        x = (xy * slope_y - 2 * yy * slope_x) / determinant
+        y = (xy * slope_x - 2 * xx * slope_y) / determinant
+        return np.array([x, y]) * min(1.0, self._most / max(math.hypot(x, y), 1e-9))
 
 
 @cache
@@ -120,17 +160,18 @@ def azimuth_elevation(vector: FloatArray) -> tuple[float, float]:
 
 def tangents(vector: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Two unit vectors square to a direction and to each other: to its left, and upwards."""
-    azimuth, elevation = azimuth_elevation(vector)
-    left = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
-    return left, unit_vectors(np.array(azimuth), elevation + math.pi / 2)
+    x, y, z = vector.tolist()
+    level = math.hypot(x, y)
+    east, north = (x / level, y / level) if level > 0 else (1.0, 0.0)
+    return np.array([-north, east, 0.0]), np.array([-z * east, -z * north, level])
 
 
-def moved(vector: FloatArray, left: FloatArray, up: FloatArray) -> FloatArray:
-    """Unit vectors (..., 3) at angles (...) in radians to the left of and above a direction."""
-    leftwards, upwards = tangents(vector)
-    tangent = left[..., None] * leftwards + up[..., None] * upwards
-    angle = np.linalg.norm(tangent, axis=-1, keepdims=True)
-    return np.asarray(np.cos(angle) * vector + np.sinc(angle / np.pi) * tangent)
+def on_sphere(vector: FloatArray, axes: FloatArray, place: FloatArray) -> FloatArray:
+    """Unit vectors (..., 3) at places (..., 2) in radians along the axes (2, 3) of a direction."""
+    along = place @ axes
+    angle = np.linalg.norm(place, axis=-1, keepdims=True)
+    moved: FloatArray = np.cos(angle) * vector + np.sinc(angle / np.pi) * along
+    return moved
 
 
 def _grid(vectors: FloatArray) -> DirectionGrid:

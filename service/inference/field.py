@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -39,8 +40,17 @@ class FoundCandidate:
     """(C,) attention of the cells that belong to it"""
     remaining: FloatArray
     """(C,) attention that remained before it"""
-    elevation: float | None = None
-    """Radians above the horizontal plane; None where only azimuths are searched"""
+    direction: FloatArray | None = None
+    """Unit vector (3,); None where only azimuths are searched"""
+
+    @property
+    def elevation(self) -> float | None:
+        """Radians above the horizontal plane; None where only azimuths are searched."""
+        return (
+            None
+            if self.direction is None
+            else math.asin(min(1.0, max(-1.0, float(self.direction[2]))))
+        )
 
 
 @dataclass(frozen=True)
