@@ -31,6 +31,7 @@ def plane_waves() -> PlaneWaves:
         array: MicrophoneArray,
         azimuths_deg: Sequence[float],
         *,
+        elevation_deg: float = 0.0,
         seconds: float = 1.04,
         snr_db: float = 25.0,
         rate: int = 16000,
@@ -42,7 +43,9 @@ def plane_waves() -> PlaneWaves:
         audio = np.zeros((array.num_microphones, samples))
         for azimuth in np.deg2rad(azimuths_deg):
             source = np.fft.rfft(bursts(rng, samples, rate))
-            direction = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+            height = np.deg2rad(elevation_deg)
+            level = np.cos(height)
+            direction = [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(height)]
             advance = array.positions @ direction / 343.0
             audio += np.fft.irfft(source * np.exp(1j * omega * advance[:, None]), samples)
         power = np.mean(audio**2) if len(azimuths_deg) else 1.0

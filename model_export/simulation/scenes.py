@@ -58,6 +58,8 @@ class Scene:
     """(M, T) float32: the talkers' direct sound at the first microphone; None: not known"""
     heard: FloatArray | None = None
     """(T,) float32: all that the first microphone hears, before its imperfections, likewise"""
+    elevation: FloatArray | None = None
+    """(M,) radians; None: not known"""
 
     def crop(self, start: int, num_samples: int) -> Scene:
         """A shorter scene, of the talkers that sound in it as far as that is known."""
@@ -72,6 +74,7 @@ class Scene:
             self.azimuth[sounds],
             self.direct[sounds][:, kept],
             self.heard[kept],
+            None if self.elevation is None else self.elevation[sounds],
         )
 
 
@@ -108,7 +111,14 @@ def draw_scene(
     heard = audio[0].copy()
     audio = _imperfections(rng, audio, config)
     error = rng.normal(scale=config.position_error * rng.random(), size=positions.shape)
-    return Scene(audio, positions + error, chunk.azimuth[room, chosen], direct, heard)
+    return Scene(
+        audio,
+        positions + error,
+        chunk.azimuth[room, chosen],
+        direct,
+        heard,
+        chunk.elevation[room, chosen],
+    )
 
 
 def direct_response(response: FloatArray, distance: float) -> FloatArray:

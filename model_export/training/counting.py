@@ -24,8 +24,10 @@ from model_export.training.confidences import HIT_DEG, calibration_error, confid
 from model_export.training.task import SHORT_SAMPLES
 from service.doa.array import MicrophoneArray
 from service.doa.scoring import circular_error
+from service.doa.sphere import angle_between
+from service.doa.steering import unit_vectors
 from service.doa.types import FloatArray
-from service.inference.candidates import NUM_CANDIDATES
+from service.inference.candidates import NUM_CANDIDATES, Direction
 from service.inference.descriptors import NUM_DESCRIPTORS
 from service.inference.results import MAX_SOURCES
 from service.inference.weights import CandidateSearch
@@ -131,18 +133,26 @@ def collect(
             (candidates,) = search.candidates(scene.audio[None])
             descriptors.append(candidates.descriptors)
             counts.append(len(scene.azimuth))
-            hits.append(first_hits(candidates.azimuth, scene.azimuth))
+            hits.append(first_hits(candidates.directions, scene))
     return CountingData(np.stack(descriptors), np.array(counts), np.stack(hits))
 
 
-def first_hits(candidates: FloatArray, azimuth: FloatArray) -> FloatArray:
-    """Hits (K,): 1 where a candidate is within 10 degrees of a source not hit earlier."""
-    hit = np.zeros(len(candidates), dtype=np.float32)
-    free = list(azimuth)
-    for rank, candidate in enumerate(candidates):
-        errors = [float(circular_error(candidate, source)) for source in free]
-        if errors and np.isfinite(candidate) and min(errors) <= np.deg2rad(HIT_DEG):
-            free.pop(int(np.argmin(errors)))
+def first_hits(directions: Sequence[Direction], scene: Scene) -> FloatArray:
+    """Hits (4,): 1 where a candidate is within 10 degrees of a source not hit earlier.
+
+    Candidates without an elevation are compared by their azimuths.
+    """
+    hit = np.zeros(NUM_CANDIDATES, dtype=np.float32)
+    free = list(range(len(scene.azimuth)))
+    for rank, (azimuth, elevation) in enumerate(directions):
+        if elevation is None:
+            errors = circular_error(np.array(azimuth), scene.azimuth)
+        else:
+            assert scene.elevation is not None
+            found = unit_vectors(np.array(azimuth), elevation)
+            errors = angle_between(found, unit_vectors(scene.azimuth, scene.elevation))
+        if free and errors[free].min() <= np.deg2rad(HIT_DEG):
+            free.pop(int(errors[free].argmin()))
             hit[rank] = 1
     return hit
 

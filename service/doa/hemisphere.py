@@ -15,11 +15,11 @@ from service.doa.sphere import DirectionGrid, half_sphere, whole_sphere
 from service.doa.types import FloatArray
 
 Hemisphere = Literal["both", "upper", "lower"]
-"""Where sources are: above the array, below it, or both"""
-THICKNESS = 0.1
-"""Least share of an array's second largest extent that its smallest must have in three dimensions:
-flatter ones tell a direction from its mirror image in their plane only at the highest frequencies"""
-LEAST_HEIGHT = 0.008
+"""Side of the horizontal plane on which sources are"""
+THICKNESS = 0.3
+"""Least share of an array's second extent that its third must have: flatter arrays tell a direction
+from its mirror image in their plane only at the highest frequencies"""
+LEAST_HEIGHT = 0.005
 """Metres, the least such extent"""
 SIDES = {"upper": 1.0, "lower": -1.0}
 
@@ -36,7 +36,7 @@ def searched_directions(
         return whole_sphere() if side is None else half_sphere(np.array([0.0, 0.0, side]))
     normal = axes[2]
     if side is not None:
-        return half_sphere(normal * np.copysign(side, normal[2]))
+        return half_sphere(normal * (side if normal[2] >= 0 else -side))
     if abs(normal[2]) > np.sqrt(0.5):
         return None  # level: its images are above and below
     return half_sphere(facing(normal))

@@ -36,17 +36,6 @@ class DirectionGrid:
     def size(self) -> int:
         return len(self.vectors)
 
-    @property
-    def azimuth(self) -> FloatArray:
-        """(D,) radians in [0, 2 pi)."""
-        azimuth: FloatArray = np.arctan2(self.vectors[:, 1], self.vectors[:, 0])
-        return azimuth % (2 * np.pi)
-
-    @property
-    def elevation(self) -> FloatArray:
-        """(D,) radians above the horizontal plane."""
-        return np.arcsin(np.clip(self.vectors[:, 2], -1, 1))
-
     def within(self, index: int, reach: float) -> IntArray:
         """Indices of the directions at most ``reach`` radians from one of them."""
         return np.flatnonzero(self.vectors @ self.vectors[index] >= math.cos(reach))
@@ -54,7 +43,8 @@ class DirectionGrid:
     def azimuth_spectrum(self, spectrum: FloatArray) -> FloatArray:
         """The maximum (A,) over the elevations of values (D,), interpolated."""
         image: FloatArray = self._image_weights @ spectrum
-        return image.reshape(-1, NUM_AZIMUTHS).max(axis=0)
+        highest: FloatArray = image.reshape(-1, NUM_AZIMUTHS).max(axis=0)
+        return highest
 
     @cached_property
     def _image_weights(self) -> scipy.sparse.csr_array:
@@ -75,7 +65,8 @@ class DirectionGrid:
     def peaks(self, spectrum: FloatArray, most: int) -> list[int]:
         """Indices of the largest local maxima of (D,) values, highest first.
 
-        A constant spectrum has none. Of maxima closer than ``MIN_SEPARATION`` the higher one counts.
+        A constant spectrum has none. Of maxima closer than ``MIN_SEPARATION`` only the higher
+        one counts.
         """
         around = spectrum[self.neighbours.T]
         highest = (spectrum >= around.max(axis=0)) & (spectrum > around.min(axis=0))
@@ -185,7 +176,7 @@ def _grid(vectors: FloatArray) -> DirectionGrid:
 
 
 def _icosphere(frequency: int) -> FloatArray:
-    """(D, 3) vertices of an icosahedron of divided edges on the sphere, opposite ones D / 2 apart."""
+    """(D, 3) vertices of a divided icosahedron on the sphere, opposite ones D / 2 apart."""
     golden = (1 + math.sqrt(5)) / 2
     corners = np.array([(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)], dtype=np.float64)
     corners = np.concatenate([np.roll(corners, shift, axis=1) for shift in range(3)])

@@ -57,7 +57,9 @@ def steering_vectors(
     steering : (F, N, A) complex64
     """
     directions = unit_vectors(azimuth, elevation)
-    return direction_steering(positions, frequencies, directions, speed_of_sound=speed_of_sound)
+    phase = _phases(positions, frequencies, directions, speed_of_sound)
+    steering: ComplexArray = np.exp(1j * phase).astype(np.complex64)
+    return steering
 
 
 def direction_steering(
@@ -67,16 +69,22 @@ def direction_steering(
     *,
     speed_of_sound: float = SPEED_OF_SOUND,
 ) -> ComplexArray:
-    """``steering_vectors`` (F, N, A) complex64 of unit vectors (A, 3)."""
-    centred = positions - positions.mean(axis=0)
-    delays = centred @ directions.T / speed_of_sound  # (N, A) seconds
-    phase = (2 * np.pi * frequencies[:, None, None] * delays[None]).astype(np.float32)
+    """``steering_vectors`` (F, N, A) of unit vectors (A, 3), to 1e-6 and in a fifth of the time."""
+    phase = _phases(positions, frequencies, directions, speed_of_sound).astype(np.float32)
     steering = np.empty(phase.shape, dtype=np.complex64)
-    np.cos(
-        phase, out=steering.real
-    )  # in single precision: a complex exponential takes five times as long
+    np.cos(phase, out=steering.real)
     np.sin(phase, out=steering.imag)
     return steering
+
+
+def _phases(
+    positions: FloatArray, frequencies: FloatArray, directions: FloatArray, speed_of_sound: float
+) -> FloatArray:
+    """Phases (F, N, A) in radians of plane waves from unit vectors (A, 3)."""
+    centred = positions - positions.mean(axis=0)
+    delays = centred @ directions.T / speed_of_sound  # (N, A) seconds
+    phases: FloatArray = 2 * np.pi * frequencies[:, None, None] * delays[None]
+    return phases
 
 
 def resolution(
@@ -95,7 +103,7 @@ def resolution(
     frequencies : (F,) float
         Hertz.
     """
-    argument = _phases(positions[:, :2], frequencies, speed_of_sound)
+    argument = _most_phase(positions[:, :2], frequencies, speed_of_sound)
     return float(1 - np.square(scipy.special.j0(argument)).mean())
 
 
@@ -106,11 +114,13 @@ def sphere_resolution(
 
     The mean of a_i conj(a_j) over the sphere is sin(k d_ij) / (k d_ij) with the distance d.
     """
-    argument = _phases(positions, frequencies, speed_of_sound)
+    argument = _most_phase(positions, frequencies, speed_of_sound)
     return float(1 - np.square(np.sinc(argument / np.pi)).mean())
 
 
-def _phases(positions: FloatArray, frequencies: FloatArray, speed_of_sound: float) -> FloatArray:
+def _most_phase(
+    positions: FloatArray, frequencies: FloatArray, speed_of_sound: float
+) -> FloatArray:
     """Largest phase differences (F, N, N) between microphones (N, 2 or 3), radians."""
     distance = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
     phases: FloatArray = 2 * np.pi * frequencies[:, None, None] * distance / speed_of_sound

@@ -30,7 +30,7 @@ class Candidates:
     """Up to four candidate directions of one window, in the order in which they were found."""
 
     directions: Sequence[Direction]
-    """Where they were found; for a linear array in the half circle that it tells from the other"""
+    """Directions as found; for a linear array in the half circle that it tells from the other"""
     descriptors: FloatArray
     """(4, D) float32, the source-count network's input; zeros where there was no further peak"""
     fused: FloatArray

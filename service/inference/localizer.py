@@ -6,6 +6,7 @@ from typing import Protocol
 
 from neuralmusic.errors import InvalidOption
 from service.doa.array import MicrophoneArray
+from service.doa.hemisphere import Hemisphere
 from service.doa.types import FloatArray
 from service.doa.whitening import NoiseCovariance
 from service.inference.bundle import Bundle
@@ -29,9 +30,14 @@ class Localizer(Protocol):
 
 
 def localizer_of(
-    bundle: Bundle, array: MicrophoneArray, noise: NoiseCovariance | None = None
+    bundle: Bundle,
+    array: MicrophoneArray,
+    noise: NoiseCovariance | None = None,
+    hemisphere: Hemisphere = "both",
 ) -> Localizer:
     """The localizer of a bundle for an array that the bundle fits.
+
+    A network that is bound to one array hears azimuths, whatever the ``hemisphere``.
 
     Raises
     ------
@@ -41,7 +47,7 @@ def localizer_of(
         If the noise was learnt with another array or other frames.
     """
     if bundle.manifest.variant == "weights":
-        return WeightsLocalizer(bundle, array, noise)
+        return WeightsLocalizer(bundle, array, noise, hemisphere)
     if noise is not None:
         raise InvalidOption(
             f"noise cannot be used with the model {bundle.manifest.name}: its network takes the "

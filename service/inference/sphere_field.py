@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -40,11 +39,6 @@ class Sphere:
     """Steering vectors (F, N, P) of directions (P, 3)"""
     floor: float
     """MUSIC's floor"""
-
-    @cached_property
-    def azimuths(self) -> FloatArray:
-        """(D,) azimuths of the grid's directions in radians."""
-        return self.grid.azimuth
 
     def distance(self, principal: ComplexArray, directions: FloatArray) -> FloatArray:
         """MUSIC's denominators (P, C) float32 of cells (F, R, N), bin by bin.
@@ -107,7 +101,8 @@ class SphereField(Field):
 
     def between(self, one: FoundCandidate, other: FoundCandidate) -> float:
         """Angle between two candidates in radians."""
-        assert one.direction is not None and other.direction is not None
+        assert one.direction is not None
+        assert other.direction is not None
         return float(angle_between(one.direction, other.direction))
 
     def block_peaks(self, found: FoundCandidate, attention: FloatArray) -> FloatArray:
@@ -131,4 +126,4 @@ class SphereField(Field):
         distance = self.sphere.distance(self.principal, both)  # (P + 1, C)
         least = self.cells[:, index] * distance[0]
         np.minimum(least, distance.min(axis=0), out=least)
-        return (least / distance[1:]).T
+        return np.asarray((least / distance[1:]).T)

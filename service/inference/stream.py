@@ -20,6 +20,7 @@ import numpy as np
 from neuralmusic.errors import InvalidOption
 from neuralmusic.protocol.methods import Method
 from service.doa.array import MicrophoneArray
+from service.doa.hemisphere import Hemisphere
 from service.doa.stft import Stft
 from service.doa.types import ComplexArray
 from service.doa.whitening import NoiseCovariance
@@ -97,6 +98,7 @@ def stream_localizer_of(
     array: MicrophoneArray,
     stft: Stft,
     noise: NoiseCovariance | None = None,
+    hemisphere: Hemisphere = "both",
 ) -> StreamLocalizer:
     """The localizer of a method for a stream; ``bundle`` is None for the classical ones.
 
@@ -110,7 +112,7 @@ def stream_localizer_of(
     if bundle is None:
         return ClassicalStream(ClassicalLocalizer(method, array, stft, noise))
     if bundle.covariance_stream is not None:
-        return WeightsStream(bundle, array, noise)
+        return WeightsStream(bundle, array, noise, hemisphere)
     if bundle.manifest.variant == "regression":
         localizer = localizer_of(bundle, array, noise)
         assert isinstance(localizer, RegressionLocalizer)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain, starmap
@@ -13,7 +13,6 @@ from service.doa.array import MicrophoneArray
 from service.doa.covariance import chosen_and_sum, diagonal_loading, weighted_covariance
 from service.doa.evd import principal_eigenvector
 from service.doa.features import coherences, unit_vectors_and_power, window_features
-from service.doa.fusion import sigmoid
 from service.doa.hemisphere import Hemisphere, searched_directions
 from service.doa.rank_one import RankOneMusic, shared_music
 from service.doa.sphere import NUM_AZIMUTHS
@@ -31,7 +30,8 @@ from service.inference.bundle import Bundle
 from service.inference.candidates import Candidates, find_candidates
 from service.inference.engine import Engine
 from service.inference.field import Field
-from service.inference.results import Source, WindowEstimate
+from service.inference.results import WindowEstimate
+from service.inference.source_counter import SourceCounter
 from service.inference.sphere_field import Sphere, SphereField
 from service.inference.windows import Stretch, sliding
 
@@ -43,12 +43,6 @@ TRAINED_BLOCKS = 8
 """Blocks in the windows that networks are trained on"""
 HALF = np.float32(0.5)
 """Share of the blocks that are kept where a bundle names none"""
-LEAST_CONFIDENCE = 0.5
-"""Least confidence of a second or third source where their number is estimated: one more likely
-wrong than right is left out"""
-LEAST_FIRST = 0.2
-"""Least confidence of the most confident source: the count decides whether there is any, unless
-this direction is almost certainly wrong"""
 LEAST_DOMINANCE = np.float32(1e-4)
 CELL_LOADING = 1e-6
 """Diagonal loading against the frames' unit power: blocks that the network all but drops lose
@@ -326,52 +320,20 @@ def principal_eigenvectors(covariance: ComplexArray) -> tuple[ComplexArray, Floa
     return vectors, np.minimum(np.maximum(dominance, LEAST_DOMINANCE), np.float32(1))
 
 
-class SourceCounter:
-    """From candidates to sources, by the source-count network.
-
-    Parameters
-    ----------
-    network : Engine
-    together : bool
-        Whether the sources' directions are refined once all are known.
-    """
-
-    def __init__(self, network: Engine, *, together: bool = True) -> None:
-        self._network = network
-        self._together = together
-
-    def select(
-        self, candidates: Iterable[Candidates], num_sources: int | None, max_sources: int
-    ) -> list[WindowEstimate]:
-        """Sources of every window; parameters as in ``WeightsLocalizer.estimate``."""
-        return [self.sources(window, num_sources, max_sources) for window in candidates]
-
-    def sources(
-        self, window: Candidates, num_sources: int | None, max_sources: int
-    ) -> WindowEstimate:
-        """The sources among one window's candidates, the most confident first."""
-        count_logits, confidence_logits = self._network.run([window.descriptors[None]])
-        confidence = sigmoid(confidence_logits[0])
-        count, least = num_sources, 0.0
-        if count is None:
-            count, least = min(int(np.argmax(count_logits[0])), max_sources), LEAST_CONFIDENCE
-        kept = surest(confidence[: len(window.findings)], count, least)
-        found = window.refined(kept) if self._together else [window.directions[i] for i in kept]
-        sources = tuple(
-            Source(azimuth, float(confidence[index]), elevation=elevation)
-            for (azimuth, elevation), index in zip(found, kept, strict=True)
-        )
-        return WindowEstimate(sources, window.fused)
-
-
 class WeightsLocalizer:
     """From windows of one array's audio to directions, with a `weights` bundle."""
 
     def __init__(
-        self, bundle: Bundle, array: MicrophoneArray, noise: NoiseCovariance | None = None
+        self,
+        bundle: Bundle,
+        array: MicrophoneArray,
+        noise: NoiseCovariance | None = None,
+        hemisphere: Hemisphere = "both",
     ) -> None:
         self._counter = SourceCounter(bundle.source_count)
-        self._search = CandidateSearch(bundle.covariance, analysis_of(bundle), array, noise)
+        self._search = CandidateSearch(
+            bundle.covariance, analysis_of(bundle), array, noise, hemisphere
+        )
         self.grid_size = self._search.grid_size
 
     def estimate(
@@ -410,13 +372,3 @@ def analysis_of(bundle: Bundle) -> Analysis:
         window_share=float(bundle.fusion["window_share"]),
         kept_share=float(bundle.fusion.get("kept_share", HALF)),
     )
-
-
-def surest(confidence: FloatArray, count: int, least: float) -> list[int]:
-    """Those of the first ``count`` candidates that are confident enough, most confident first.
-
-    The most confident needs no more than ``LEAST_FIRST``.
-    """
-    order = np.argsort(-confidence[:count], kind="stable").tolist()
-    kept = [index for index in order[:1] if confidence[index] >= min(least, LEAST_FIRST)]
-    return kept + [index for index in order[1:] if confidence[index] >= least]

@@ -17,18 +17,19 @@ import numpy as np
 from service.doa.array import MicrophoneArray
 from service.doa.covariance import diagonal_loading, weighted_covariance
 from service.doa.features import coherence_features, unit_vectors_and_power
+from service.doa.hemisphere import Hemisphere
 from service.doa.types import ComplexArray, FloatArray
 from service.doa.whitening import NoiseCovariance
 from service.inference.bundle import Bundle
 from service.inference.engine import Engine
 from service.inference.recent_blocks import WINDOW_BLOCKS, RecentBlocks
 from service.inference.results import WindowEstimate
+from service.inference.source_counter import SourceCounter
 from service.inference.weights import (
     BLOCK_FRAMES,
     CELL_LOADING,
     SMALL_APERTURE,
     CandidateSearch,
-    SourceCounter,
     analysis_of,
 )
 
@@ -86,7 +87,11 @@ class WeightsStream:
     window_frames = WINDOW_BLOCKS * BLOCK_FRAMES
 
     def __init__(
-        self, bundle: Bundle, array: MicrophoneArray, noise: NoiseCovariance | None = None
+        self,
+        bundle: Bundle,
+        array: MicrophoneArray,
+        noise: NoiseCovariance | None = None,
+        hemisphere: Hemisphere = "both",
     ) -> None:
         assert bundle.covariance_stream is not None
         # Over a small array the phases of neighbouring bins differ by less than 10 degrees, so two
@@ -94,7 +99,7 @@ class WeightsStream:
         paired = noise is None and array.aperture <= SMALL_APERTURE
         analysis = replace(analysis_of(bundle), bins_per_cell=2 if paired else 1)
         self._bins_per_cell = analysis.bins_per_cell
-        self._search = CandidateSearch(bundle.covariance, analysis, array, noise)
+        self._search = CandidateSearch(bundle.covariance, analysis, array, noise, hemisphere)
         # Refined directions follow a walking talker worse, because older blocks count more.
         self._counter = SourceCounter(bundle.source_count, together=False)
         self._network = NetworkStream(

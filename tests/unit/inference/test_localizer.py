@@ -13,7 +13,8 @@ from service.doa.types import FloatArray
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, estimate_stretch, localizer_of
 from service.inference.registry import BundleRegistry
-from service.inference.weights import LEAST_CONFIDENCE, strongest_blocks, surest
+from service.inference.source_counter import LEAST_CONFIDENCE, surest
+from service.inference.weights import strongest_blocks
 from service.inference.windows import stretches, windows
 
 
