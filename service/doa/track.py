@@ -19,8 +19,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from service.doa.kalman import AzimuthFilter
-from service.doa.peaks import wrapped
+from service.doa.kalman import STILL, DirectionFilter, Vector, angles, direction
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +30,13 @@ class Detection:
     """Radians, any wrap"""
     confidence: float
     """0 to 1: the chance that a source is within 10 degrees of there"""
+    elevation: float | None = None
+    """Radians above the horizontal plane; None where only azimuths are heard"""
+
+    @property
+    def direction(self) -> Vector:
+        """Unit vector."""
+        return direction(self.azimuth, self.elevation)
 
 
 class Track(NamedTuple):
@@ -41,9 +47,9 @@ class Track(NamedTuple):
     azimuth: float
     """Radians in [0, 2 pi)"""
     velocity: float
-    """Radians per second, counter-clockwise"""
+    """Radians of azimuth per second, counter-clockwise"""
     variance: float
-    """Variance of the azimuth, radians squared"""
+    """Variance of the direction, radians squared"""
     confidence: float
     """0 to 1: the chance that a source is within 10 degrees of there"""
     active: bool
@@ -52,6 +58,13 @@ class Track(NamedTuple):
     """Stream time in seconds of its first detection"""
     last_heard: float
     """Stream time in seconds of its last detection"""
+    elevation: float | None = None
+    """Radians above the horizontal plane; None where only azimuths are heard"""
+
+    @property
+    def direction(self) -> Vector:
+        """Unit vector."""
+        return direction(self.azimuth, self.elevation)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,26 +123,28 @@ class Hypothesis:
     """A track, confirmed or not, with its filter and existence."""
 
     parameters: TrackerParameters
-    filter: AzimuthFilter
+    filter: DirectionFilter
     evidence: float
     """Log-odds of existence in nats"""
     born: float
     last_heard: float
     last_active: float
     """Stream time in seconds at which the talker was last heard, or hidden while active"""
+    level: bool
+    """Whether only azimuths are heard"""
     id: int | None = None
     """Id of the track; None until it is confirmed"""
 
     @classmethod
     def of(cls, parameters: TrackerParameters, detection: Detection, time: float) -> Hypothesis:
         """A track that begins with a detection, ``time`` seconds into the stream."""
-        azimuth = wrapped(detection.azimuth)
-        state = AzimuthFilter(azimuth, 0.0, 0.0, 0.0, parameters.spread**2)
+        state = DirectionFilter(detection.direction, STILL, 0.0, 0.0, parameters.spread**2)
         # At the beginning of a stream a detection rests on less audio and the onset of noise.
         news = min(1.0, max(time, 0.0) / parameters.correlation_s)
         evidence = min(news * log_odds(detection.confidence), parameters.most_evidence)
-        new = cls(parameters, state, evidence, time, time, time)
-        state.azimuth_variance = new.error(detection.confidence)
+        level = detection.elevation is None
+        new = cls(parameters, state, evidence, time, time, time, level)
+        state.variance = new.error(detection.confidence)
         return new
 
     def predict(self, duration: float, time: float) -> None:
@@ -145,7 +160,7 @@ class Hypothesis:
         that the talker has gone since.
         """
         p = self.parameters
-        late = p.lag_spread_s * self.filter.velocity
+        late = p.lag_spread_s * self.filter.speed
         return (p.error / max(confidence, 0.3)) ** 2 + late * late
 
     def hear(self, detection: Detection, duration: float, time: float, *, passing: bool) -> None:
@@ -156,7 +171,7 @@ class Hypothesis:
         # Two talkers that cross are heard as one between them, or as each other. Until they are
         # apart again their velocities are better evidence than detections.
         variance *= p.crowding if passing else 1
-        self.filter.correct(detection.azimuth, variance, p.fastest)
+        self.filter.correct(detection.direction, variance, p.fastest)
         evidence = self.evidence + news * log_odds(detection.confidence)
         self.evidence = min(evidence, p.most_evidence)
         self.last_heard = self.last_active = time
@@ -184,17 +199,19 @@ class Hypothesis:
         if self.id is None:
             raise ValueError("a track without id is not confirmed")
         # An uncertain velocity counts less: for a standing talker it would only add noise.
-        power = state.velocity * state.velocity
-        ahead = self.parameters.lag_s * state.velocity * power / (power + state.velocity_variance)
+        power = state.speed**2
+        sure = power / (power + state.velocity_variance)
+        azimuth, elevation = angles(state.ahead(self.parameters.lag_s * sure))
         return Track(
             id=self.id,
-            azimuth=wrapped(state.azimuth + ahead),
-            velocity=state.velocity,
-            variance=state.azimuth_variance,
+            azimuth=azimuth,
+            velocity=state.turning,
+            variance=state.variance,
             confidence=1 / (1 + math.exp(-self.evidence)),
             active=self.active(time),
             born=self.born,
             last_heard=self.last_heard,
+            elevation=None if self.level else elevation,
         )
 
 

@@ -1,14 +1,15 @@
-"""Multi-source tracking on the circle: from detections of successive windows to talkers with ids.
+"""Multi-source tracking on the sphere: from detections of successive windows to talkers with ids.
 
 Task: an unknown number of talkers start, pause, move, cross and stop. The localizer reports
 directions for every window of audio, misses some and invents some.
 
 Conventions
 -----------
-Azimuths in radians, time in seconds of the stream. Every update predicts all tracks, assigns
-detections to them by the least total distance, lets unassigned detections begin new ones and ends
-those without evidence. A track is reported from the update in which its existence is confirmed: a
-confident detection confirms it at once, others when they repeat.
+Directions are unit vectors, on the horizon where only azimuths are heard; angles between them are
+great-circle angles in radians; time is in seconds of the stream. Every update predicts all tracks,
+assigns detections to them by the least total distance, lets unassigned detections begin new ones
+and ends those without evidence. A track is reported from the update in which its existence is
+confirmed: a confident detection confirms it at once, others when they repeat.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.doa.peaks import circular_difference
+from service.doa.kalman import angle
 from service.doa.track import Detection, Hypothesis, Track, TrackerParameters
 
 __all__ = ["Detection", "Track", "Tracker", "TrackerParameters"]
@@ -106,33 +107,33 @@ class Tracker:
     def _cost(self, hypothesis: Hypothesis, detection: Detection) -> float:
         """Twice the negative log-likelihood up to a constant, or the cost of being alone."""
         p = self._parameters
-        off = abs(circular_difference(detection.azimuth, hypothesis.filter.azimuth))
+        off = angle(detection.direction, hypothesis.filter.direction)
         if off > p.widest:
             return p.alone
         variance = hypothesis.error(detection.confidence)
-        distance = hypothesis.filter.distance(detection.azimuth, variance)
+        distance = hypothesis.filter.distance(detection.direction, variance)
         # A close detection must not begin a track of its own, however certain this position is.
         if distance > p.gate and off > p.separation:
             return p.alone
-        width = math.log(1 + hypothesis.filter.azimuth_variance / variance)
+        width = math.log(1 + hypothesis.filter.variance / variance)
         # A tentative track must not take the detection of a confirmed one beside it.
         handicap = 0.0 if hypothesis.id is not None else p.gate / 4
         return min(distance, p.gate) + width + handicap
 
     def _near(self, one: Hypothesis, other: Hypothesis) -> bool:
-        off = circular_difference(one.filter.azimuth, other.filter.azimuth)
-        return abs(off) < self._parameters.separation
+        off = angle(one.filter.direction, other.filter.direction)
+        return off < self._parameters.separation
 
     def _in_wake(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether two may be one talker, heard here and where it was some syllables ago."""
         p = self._parameters
-        off = circular_difference(one.filter.azimuth, other.filter.azimuth)
-        fastest = max(abs(one.filter.velocity), abs(other.filter.velocity))
-        return abs(off) < p.separation + p.lag_s * fastest
+        off = angle(one.filter.direction, other.filter.direction)
+        fastest = max(one.filter.speed, other.filter.speed)
+        return off < p.separation + p.lag_s * fastest
 
     def _part(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether their velocities take two tracks through or from each other."""
-        return abs(one.filter.velocity - other.filter.velocity) > self._parameters.passing
+        return one.filter.relative_speed(other.filter) > self._parameters.passing
 
     def _passing(self, hypothesis: Hypothesis) -> bool:
         """Whether a track is passing another one, so that they may be heard as one."""
@@ -189,6 +190,7 @@ class Tracker:
 def _ordered(detections: Sequence[Detection]) -> list[Detection]:
     """Detections, most confident first, whatever their order."""
     for detection in detections:
-        if not (math.isfinite(detection.azimuth) and 0 <= detection.confidence <= 1):
+        angles = (detection.azimuth, detection.elevation or 0.0)
+        if not (all(map(math.isfinite, angles)) and 0 <= detection.confidence <= 1):
             raise ValueError(f"a detection needs finite radians and a confidence, not {detection}")
     return sorted(detections, key=lambda d: (-d.confidence, d.azimuth))
