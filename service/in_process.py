@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from neuralmusic.errors import ChannelMismatch, InvalidOption, UnsupportedSampleRate
 from neuralmusic.protocol.client_messages import MAX_SAMPLE_RATE, MIN_SAMPLE_RATE
-from neuralmusic.protocol.methods import Method
+from neuralmusic.protocol.methods import Hemisphere, Method
 from neuralmusic.recordings.form import Array, Sectors, form_fields
 from service.machine.environment import disable_telemetry
 
@@ -36,6 +36,7 @@ def localize(
     hop_s: float | None = None,
     yaw_deg: float | None = None,
     exclude_deg: Sectors | None = None,
+    hemisphere: Hemisphere | None = None,
     noise: str | Path | None = None,
     spectrum: bool | None = None,
 ) -> LocalizationAnswer:
@@ -69,6 +70,9 @@ def localize(
         Degrees by which the array is turned counter-clockwise on the robot.
     exclude_deg : sequence of pairs, optional
         Sectors (from, to) in degrees in which nothing is reported.
+    hemisphere : str, optional
+        ``upper`` or ``lower``, the side of the horizontal plane on which all sources are: a level
+        array then tells elevations.
     noise : path, optional
         A profile of the robot's own noise that ``neuralmusic noise`` wrote.
     spectrum : bool, optional
@@ -89,6 +93,7 @@ def localize(
         "hop_s": hop_s,
         "yaw_deg": yaw_deg,
         "exclude_deg": exclude_deg,
+        "hemisphere": hemisphere,
         "spectrum": spectrum,
     }
     disable_telemetry()

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from rich.console import Console
 
 from neuralmusic.cli.terminal import line, output, table, warn
-from neuralmusic.cli.words import clock, degrees, sector
-from service.doa.peaks import circular_difference
+from neuralmusic.cli.words import clock, direction, sector
+from service.doa.kalman import angle
+from service.doa.kalman import direction as towards
 from service.inference.results import Source
 from service.recordings.results import RecordingResult, WindowResult
 
@@ -67,12 +68,14 @@ def _same(first: Sequence[Source], second: Sequence[Source]) -> bool:
         return False
     turns = range(max(len(second), 1))
     return any(
-        all(
-            abs(circular_difference(a.azimuth, second[(i + turn) % len(second)].azimuth)) < SAME
-            for i, a in enumerate(first)
-        )
+        all(_apart(a, second[(i + turn) % len(second)]) < SAME for i, a in enumerate(first))
         for turn in turns
     )
+
+
+def _apart(one: Source, other: Source) -> float:
+    """Angle between two sources in radians."""
+    return angle(towards(one.azimuth, one.elevation), towards(other.azimuth, other.elevation))
 
 
 def _directions(stretch: Interval) -> str:
@@ -81,7 +84,7 @@ def _directions(stretch: Interval) -> str:
     if not sources:
         return "-"
     return ", ".join(
-        f"{degrees(source.azimuth)} {sector(source.azimuth)} ({source.confidence:.2f})"
+        f"{direction(source.azimuth, source.elevation)} {sector(source.azimuth)} ({source.confidence:.2f})"
         for source in sorted(sources, key=lambda source: -source.confidence)
     )
 
@@ -102,7 +105,7 @@ def _print_summary(console: Console, result: RecordingResult) -> None:
     drawn = table(console, "direction", "", *columns, right=("direction", *columns))
     for source in result.summary:
         drawn.add_row(
-            degrees(source.azimuth),
+            direction(source.azimuth, source.elevation),
             sector(source.azimuth),
             f"{source.share:.0%}",
             f"{source.confidence:.2f}",

@@ -6,16 +6,13 @@ A level array therefore tells elevations only where the user says on which side 
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
+from neuralmusic.protocol.methods import Hemisphere
 from service.doa.array import MicrophoneArray
 from service.doa.sphere import DirectionGrid, half_sphere, whole_sphere
 from service.doa.types import FloatArray
 
-Hemisphere = Literal["both", "upper", "lower"]
-"""Side of the horizontal plane on which sources are"""
 THICKNESS = 0.3
 """Least share of an array's second extent that its third must have: flatter arrays tell a direction
 from its mirror image in their plane only at the highest frequencies"""
@@ -29,8 +26,8 @@ def searched_directions(
 ) -> DirectionGrid | None:
     """The grid of an array's directions; None where it tells azimuths only."""
     extents, axes = _extents(array)
-    if extents[1] < max(LEAST_HEIGHT, THICKNESS * extents[0]):
-        return None  # a line
+    if _is_line(extents):
+        return None
     side = SIDES.get(hemisphere)
     if extents[2] >= max(LEAST_HEIGHT, THICKNESS * extents[1]):
         return whole_sphere() if side is None else half_sphere(np.array([0.0, 0.0, side]))
@@ -40,6 +37,25 @@ def searched_directions(
     if abs(normal[2]) > np.sqrt(0.5):
         return None  # level: its images are above and below
     return half_sphere(facing(normal))
+
+
+def why_no_elevation(array: MicrophoneArray, hemisphere: Hemisphere = "both") -> str | None:
+    """The reason why an array tells azimuths only; None where it tells elevations."""
+    if searched_directions(array, hemisphere) is not None:
+        return None
+    if _is_line(_extents(array)[0]):
+        return (
+            "the microphones lie on one line, which hears only the angle to its axis: the azimuth "
+            "is that of a source at the array's height"
+        )
+    return (
+        "the microphones lie in a level plane, which hears a source above it and its mirror image "
+        "below it alike: say hemisphere=upper or lower where all sources are on one side"
+    )
+
+
+def _is_line(extents: FloatArray) -> bool:
+    return bool(extents[1] < max(LEAST_HEIGHT, THICKNESS * extents[0]))
 
 
 def facing(normal: FloatArray) -> FloatArray:

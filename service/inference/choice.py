@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from neuralmusic.errors import GeometryMismatch, TooManySources
-from neuralmusic.protocol.methods import Method
+from neuralmusic.protocol.methods import Hemisphere, Method
+from service.doa import hemisphere as halves
 from service.doa.array import MicrophoneArray
 from service.inference.bundle import Bundle
 from service.inference.registry import BundleRegistry
@@ -61,3 +62,14 @@ def method_warnings(
         )
         found.append(AudioWarning("front_back_ambiguous", detail))
     return found
+
+
+def why_no_elevation(
+    array: MicrophoneArray, hemisphere: Hemisphere, method: Method, bundle: Bundle | None
+) -> str | None:
+    """The reason why answers hold azimuths only; None where they hold elevations."""
+    if bundle is None:
+        return f"{method} searches azimuths only: choose neural"
+    if bundle.manifest.variant == "regression":
+        return f"the model {bundle.manifest.name} searches azimuths only"
+    return halves.why_no_elevation(array, hemisphere)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Protocol
 
 from neuralmusic.errors import InvalidOption
+from neuralmusic.protocol.methods import Hemisphere
 from service.doa.array import MicrophoneArray
-from service.doa.hemisphere import Hemisphere
 from service.doa.types import FloatArray
 from service.doa.whitening import NoiseCovariance
 from service.inference.bundle import Bundle

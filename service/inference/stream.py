@@ -18,9 +18,8 @@ from typing import Protocol
 import numpy as np
 
 from neuralmusic.errors import InvalidOption
-from neuralmusic.protocol.methods import Method
+from neuralmusic.protocol.methods import Hemisphere, Method
 from service.doa.array import MicrophoneArray
-from service.doa.hemisphere import Hemisphere
 from service.doa.stft import Stft
 from service.doa.types import ComplexArray
 from service.doa.whitening import NoiseCovariance

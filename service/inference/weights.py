@@ -9,11 +9,12 @@ from itertools import chain, starmap
 
 import numpy as np
 
+from neuralmusic.protocol.methods import Hemisphere
 from service.doa.array import MicrophoneArray
 from service.doa.covariance import chosen_and_sum, diagonal_loading, weighted_covariance
 from service.doa.evd import principal_eigenvector
 from service.doa.features import coherences, unit_vectors_and_power, window_features
-from service.doa.hemisphere import Hemisphere, searched_directions
+from service.doa.hemisphere import searched_directions
 from service.doa.rank_one import RankOneMusic, shared_music
 from service.doa.sphere import NUM_AZIMUTHS
 from service.doa.steering import (

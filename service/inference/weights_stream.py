@@ -14,10 +14,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from neuralmusic.protocol.methods import Hemisphere
 from service.doa.array import MicrophoneArray
 from service.doa.covariance import diagonal_loading, weighted_covariance
 from service.doa.features import coherence_features, unit_vectors_and_power
-from service.doa.hemisphere import Hemisphere
 from service.doa.types import ComplexArray, FloatArray
 from service.doa.whitening import NoiseCovariance
 from service.inference.bundle import Bundle

@@ -6,7 +6,7 @@ from typing import Self
 
 from pydantic import BaseModel, ConfigDict
 
-from neuralmusic.protocol.degrees import azimuth_deg, unit_vector
+from neuralmusic.protocol.degrees import azimuth_deg, elevation_deg, unit_vector
 from neuralmusic.protocol.methods import Method
 from service.inference.results import Source
 from service.recordings.results import RecordingResult, SummarySource, WindowResult
@@ -50,6 +50,8 @@ class ArrayAnswer(Answer):
     """Metres, `[x, y, z]` per microphone: x forward, y left, z up"""
     channel_map: list[int]
     """The recording's channel of every microphone, from 0"""
+    why_no_elevation: str | None = None
+    """Why `elevation_deg` is null; null where elevations are told"""
 
 
 class SourceAnswer(Answer):
@@ -61,10 +63,11 @@ class SourceAnswer(Answer):
     """0 to 1: the chance that a source is within 10 degrees of there"""
     id: int | None
     """Identity of the source over all windows; null before it was tracked"""
-    elevation_deg: None = None
-    """Not estimated: a planar array cannot tell above from below"""
+    elevation_deg: float | None = None
+    """Degrees from -90 to 90 above the array's horizontal plane; null where the array or the method
+    tells azimuths only, as `array.why_no_elevation` says"""
     unit_vector: list[float]
-    """`[x, y, z]` towards the source, z = 0"""
+    """`[x, y, z]` towards the source; z = 0 without an elevation"""
 
     @classmethod
     def of(cls, source: Source) -> Self:
@@ -72,8 +75,8 @@ class SourceAnswer(Answer):
             azimuth_deg=azimuth_deg(source.azimuth),
             confidence=round(source.confidence, 3),
             id=source.id,
-            elevation_deg=None,  # named because unset fields are not sent
-            unit_vector=unit_vector(source.azimuth),
+            elevation_deg=elevation_deg(source.elevation),
+            unit_vector=unit_vector(source.azimuth, source.elevation),
         )
 
 
@@ -112,6 +115,8 @@ class SummarySourceAnswer(Answer):
     """Mean confidence of its windows, 0 to 1"""
     share: float
     """Share of the windows with any source in which this one is heard, 0 to 1"""
+    elevation_deg: float | None = None
+    """Degrees above the horizontal plane; null as in the windows"""
 
     @classmethod
     def of(cls, source: SummarySource) -> Self:
@@ -119,6 +124,7 @@ class SummarySourceAnswer(Answer):
             azimuth_deg=azimuth_deg(source.azimuth),
             confidence=round(source.confidence, 3),
             share=round(source.share, 3),
+            elevation_deg=elevation_deg(source.elevation),
         )
 
 
@@ -164,6 +170,7 @@ class LocalizationAnswer(Answer):
                 name=array.name,
                 positions_m=array.positions.tolist(),
                 channel_map=list(result.channel_map),
+                why_no_elevation=result.why_no_elevation,
             ),
             windows=[],
             summary=SummaryAnswer(sources=[SummarySourceAnswer.of(s) for s in result.summary]),

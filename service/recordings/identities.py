@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
-from service.doa.peaks import circular_difference
+from service.doa.kalman import angle, direction
 from service.doa.tracking import Detection, Track, Tracker
 from service.inference.results import Source
 from service.recordings.results import WindowResult
@@ -20,13 +20,16 @@ def identified(windows: Iterable[WindowResult]) -> Iterator[WindowResult]:
     tracker = Tracker()
     for window in windows:
         sources = window.estimate.sources
-        detections = [Detection(source.azimuth, source.confidence) for source in sources]
+        detections = [
+            Detection(source.azimuth, source.confidence, source.elevation) for source in sources
+        ]
         tracks = tracker.update(detections, window.t_end)
         named = tuple(_named(source, tracks) for source in sources)
         yield replace(window, estimate=replace(window.estimate, sources=named))
 
 
 def _named(source: Source, tracks: Sequence[Track]) -> Source:
-    offs = [(abs(circular_difference(t.azimuth, source.azimuth)), t.id) for t in tracks if t.active]
+    towards = direction(source.azimuth, source.elevation)
+    offs = [(angle(track.direction, towards), track.id) for track in tracks if track.active]
     off, track = min(offs, default=(math.inf, None))
     return replace(source, id=track) if off <= SAME else source

@@ -19,6 +19,7 @@ from service.inference.choice import (
     check_num_sources,
     choose_method,
     method_warnings,
+    why_no_elevation,
 )
 from service.inference.classical import ClassicalLocalizer
 from service.inference.geometry import choose_channels
@@ -69,7 +70,7 @@ def localize_recording(
     method, bundle = choose_method(options.method, options.model, array, registry)
     stft = bundle.stft if bundle else Stft()
     localizer = (
-        localizer_of(bundle, array, options.noise)
+        localizer_of(bundle, array, options.noise, options.hemisphere)
         if bundle
         else ClassicalLocalizer(method, array, stft, options.noise)
     )
@@ -102,6 +103,7 @@ def localize_recording(
             *method_warnings(options.method, method, array),
         ],
         stretches=sizes,
+        why_no_elevation=why_no_elevation(array, options.hemisphere, method, bundle),
     )
 
 

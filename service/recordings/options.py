@@ -21,7 +21,7 @@ from neuralmusic.option_text import (
     read_text,
 )
 from neuralmusic.protocol.message import SHOWN
-from neuralmusic.protocol.methods import METHODS
+from neuralmusic.protocol.methods import HEMISPHERES, METHODS
 from service.doa.array import MicrophoneArray, validate_channel_map
 from service.doa.orientation import Orientation
 from service.doa.presets import PRESETS
@@ -122,6 +122,12 @@ OPTIONS: Mapping[str, Option] = {
         "the yaw offset, separated by commas.",
         example="80:100,350:10",
     ),
+    "hemisphere": Option(
+        str,
+        {"type": "string", "enum": list(HEMISPHERES), "default": "both"},
+        "Side of the horizontal plane on which all sources are. A level array tells elevations only "
+        "where it is known.",
+    ),
     "noise": Option(
         str,
         {"type": "string"},
@@ -186,6 +192,8 @@ def _check(values: dict[str, Any]) -> None:
         raise UnknownMethod(
             f"no method is called {method[:SHOWN]!r}: the methods are {', '.join(METHODS)}"
         )
+    if values.get("hemisphere", "both") not in HEMISPHERES:
+        raise InvalidOption(f"hemisphere must be one of {', '.join(HEMISPHERES)}")
     most = min(MAX_SOURCES, array.num_microphones - 1)
     if values.get("num_sources", 1) > most:
         raise TooManySources(

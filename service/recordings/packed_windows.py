@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterator, Sequence
 from typing import overload
@@ -14,14 +15,14 @@ from service.inference.results import Source, WindowEstimate
 from service.recordings.results import WindowResult
 
 _HEAD = struct.Struct("<dd")
-_SOURCE = struct.Struct("<ddq")
+_SOURCE = struct.Struct("<ddqf")
 NOBODY = -1
 """Stands for a source without an id"""
 NO_SPECTRUM: FloatArray = np.empty(0, dtype=np.float32)
 
 
 class PackedWindows(Sequence[WindowResult]):
-    """Windows in time order; one with two sources takes 105 bytes.
+    """Windows in time order; one with two sources takes 113 bytes.
 
     Parameters
     ----------
@@ -40,7 +41,12 @@ class PackedWindows(Sequence[WindowResult]):
         """Add the next window: sources in the robot's frame, spectrum in the array's."""
         head = _HEAD.pack(window.t_start, window.t_end)
         sources = (
-            _SOURCE.pack(each.azimuth, each.confidence, NOBODY if each.id is None else each.id)
+            _SOURCE.pack(
+                each.azimuth,
+                each.confidence,
+                NOBODY if each.id is None else each.id,
+                math.nan if each.elevation is None else each.elevation,
+            )
             for each in window.estimate.sources
         )
         self._windows.append(head + b"".join(sources))
@@ -61,8 +67,13 @@ class PackedWindows(Sequence[WindowResult]):
             return [self[place] for place in range(*index.indices(len(self)))]
         packed = self._windows[index]
         sources = tuple(
-            Source(azimuth, confidence, None if track == NOBODY else track)
-            for azimuth, confidence, track in _SOURCE.iter_unpack(packed[_HEAD.size :])
+            Source(
+                azimuth,
+                confidence,
+                None if track == NOBODY else track,
+                None if math.isnan(elevation) else elevation,
+            )
+            for azimuth, confidence, track, elevation in _SOURCE.iter_unpack(packed[_HEAD.size :])
         )
         t_start, t_end = _HEAD.unpack_from(packed)
         return WindowResult(t_start, t_end, WindowEstimate(sources, self._turned(index)))

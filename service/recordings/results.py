@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from neuralmusic.protocol.methods import Method
+from neuralmusic.protocol.methods import Hemisphere, Method
 from service.doa.array import MicrophoneArray
 from service.doa.orientation import ALIGNED, Orientation
 from service.doa.whitening import NoiseCovariance
@@ -37,6 +37,8 @@ class SummarySource:
     """Mean confidence of its windows"""
     share: float
     """Share of the windows with any source in which this one is heard"""
+    elevation: float | None = None
+    """Radians above the horizontal plane; None where only azimuths are told"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +64,8 @@ class LocalizeOptions:
     """Mounting of the array, and sectors where nothing is reported"""
     noise: NoiseCovariance | None = None
     """The robot's own noise, to be removed"""
+    hemisphere: Hemisphere = "both"
+    """Side of the horizontal plane on which sources are"""
     spectrum: bool = False
     """Whether every window keeps its spatial spectrum; without it a window is a few numbers"""
 
@@ -85,3 +89,5 @@ class RecordingResult:
     warnings: Sequence[AudioWarning] = field(default_factory=tuple)
     stretches: Mapping[int, int] = field(default_factory=dict)
     """Counts by the number of windows that were computed at a time"""
+    why_no_elevation: str | None = None
+    """Reason why sources have azimuths only; None where they have elevations"""

@@ -54,7 +54,9 @@ class Account:
         self.most_lag_ms = max(self.most_lag_ms, lag_ms)
         self._lags.append(lag_ms)
         self._lag_counts[min(round(lag_ms), LONGEST_LAG_MS)] += 1
-        points = tuple(Point(s.id, s.azimuth_deg, s.confidence, s.active) for s in sources)
+        points = tuple(
+            Point(s.id, s.azimuth_deg, s.confidence, s.active, s.elevation_deg) for s in sources
+        )
         self.history.append(
             HistoryEntry(round(estimate.t_end, 6), estimate.capture_time_ns, points)
         )

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from neuralmusic.protocol.degrees import azimuth_deg, degrees, unit_vector
+from neuralmusic.protocol.degrees import azimuth_deg, degrees, elevation_deg, unit_vector
 from neuralmusic.protocol.server_messages import ODAS_HOP_S, OdasPotential, OdasSource, StreamSource
 from service.doa.orientation import Orientation
 from service.doa.peaks import find_peaks
@@ -45,7 +45,8 @@ def stream_source(track: Track, orientation: Orientation) -> StreamSource:
     return StreamSource.model_construct(
         id=track.id,
         azimuth_deg=azimuth_deg(azimuth),
-        unit_vector=unit_vector(azimuth),
+        elevation_deg=elevation_deg(track.elevation),
+        unit_vector=unit_vector(azimuth, track.elevation),
         confidence=round(track.confidence, 3),
         active=track.active,
         velocity_deg_s=degrees(track.velocity),
@@ -73,7 +74,7 @@ def odas_sources(estimate: Estimate, orientation: Orientation) -> list[OdasSourc
         OdasSource(
             id=track.id,
             tag="dynamic",
-            **_direction(orientation.on_robot(track.azimuth)),
+            **_direction(orientation.on_robot(track.azimuth), track.elevation),
             activity=round(track.confidence if track.active else 0.0, 3),
         )
         for track in estimate.tracks[:ODAS_PLACES]
@@ -82,5 +83,6 @@ def odas_sources(estimate: Estimate, orientation: Orientation) -> list[OdasSourc
     return filled + [empty] * (ODAS_PLACES - len(filled))
 
 
-def _direction(azimuth: float) -> dict[str, float]:
-    return {"x": round(math.cos(azimuth), 3), "y": round(math.sin(azimuth), 3), "z": 0.0}
+def _direction(azimuth: float, elevation: float | None = None) -> dict[str, float]:
+    values = unit_vector(azimuth, elevation)
+    return {axis: round(value, 3) for axis, value in zip("xyz", values, strict=True)}

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from service.streaming.history import HistoryEntry
 
 FORMATS = {"jsonl": "application/jsonl", "csv": "text/csv"}
-COLUMNS = ("t_end", "capture_time_ns", "id", "azimuth_deg", "confidence", "active")
+COLUMNS = ("t_end", "capture_time_ns", "id", "azimuth_deg", "elevation_deg", "confidence", "active")
 
 
 def export_json_lines(history: Iterable[HistoryEntry]) -> str:
@@ -24,6 +24,7 @@ def export_json_lines(history: Iterable[HistoryEntry]) -> str:
                     {
                         "id": point.id,
                         "azimuth_deg": point.azimuth_deg,
+                        "elevation_deg": point.elevation_deg,
                         "confidence": point.confidence,
                         "active": point.active,
                     }
@@ -45,7 +46,6 @@ def export_csv(history: Iterable[HistoryEntry]) -> str:
         for point in result.points:
             captured = "" if result.capture_time_ns is None else result.capture_time_ns
             place = (result.t_end, captured)
-            writer.writerow(
-                (*place, point.id, point.azimuth_deg, point.confidence, int(point.active))
-            )
+            towards = (point.azimuth_deg, point.elevation_deg)
+            writer.writerow((*place, point.id, *towards, point.confidence, int(point.active)))
     return file.getvalue()

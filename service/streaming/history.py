@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections import deque
 from collections.abc import Iterator
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 HISTORY = 6000
 """Most results that can be exported: ten minutes at 10 Hz"""
 _HEAD = struct.Struct("<d?q")
-_POINT = struct.Struct("<Idd?")
+_POINT = struct.Struct("<Idd?f")
 LAST_TIME = 2**63 - 1
 """Latest capture time in nanoseconds; later ones are kept as none"""
 
@@ -23,6 +24,7 @@ class Point:
     azimuth_deg: float
     confidence: float
     active: bool
+    elevation_deg: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,11 +58,23 @@ class History:
         """Add a result; the oldest one goes."""
         captured = max(-LAST_TIME, min(entry.capture_time_ns or 0, LAST_TIME))
         head = _HEAD.pack(entry.t_end, entry.capture_time_ns is not None, captured)
-        points = (_POINT.pack(p.id, p.azimuth_deg, p.confidence, p.active) for p in entry.points)
+        points = (
+            _POINT.pack(
+                p.id,
+                p.azimuth_deg,
+                p.confidence,
+                p.active,
+                math.nan if p.elevation_deg is None else p.elevation_deg,
+            )
+            for p in entry.points
+        )
         self._packed.append(head + b"".join(points))
 
 
 def _unpacked(packed: bytes) -> HistoryEntry:
     t_end, captured, capture_time_ns = _HEAD.unpack_from(packed)
-    points = tuple(Point(*fields) for fields in _POINT.iter_unpack(packed[_HEAD.size :]))
+    points = tuple(
+        Point(*fields, None if math.isnan(elevation) else round(elevation, 2))
+        for *fields, elevation in _POINT.iter_unpack(packed[_HEAD.size :])
+    )
     return HistoryEntry(t_end, capture_time_ns if captured else None, points)

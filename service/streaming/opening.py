@@ -15,6 +15,7 @@ from service.inference.choice import (
     check_num_sources,
     choose_method,
     method_warnings,
+    why_no_elevation,
 )
 from service.inference.geometry import choose_channels, given_array
 from service.inference.registry import BundleRegistry
@@ -44,7 +45,9 @@ def open_stream(work: Open, registry: BundleRegistry) -> tuple[StreamPipeline, S
     model = None if start.model == DEFAULT_MODEL else start.model
     method, bundle = choose_method(start.method, model, array, registry)
     stft = bundle.stft if bundle else Stft()
-    plan = StreamPlan(start.audio, array, channels, method, bundle, stft, work.noise)
+    plan = StreamPlan(
+        start.audio, array, channels, method, bundle, stft, work.noise, start.hemisphere
+    )
     warnings = assumed + method_warnings(start.method, method, array)
     try:
         pipeline = StreamPipeline(plan)
@@ -73,7 +76,13 @@ def opened(
     return StreamOpened(
         model=model,
         method=plan.method,
-        array=StreamArray(name=plan.array.name, positions_m=plan.array.positions.tolist()),
+        array=StreamArray(
+            name=plan.array.name,
+            positions_m=plan.array.positions.tolist(),
+            why_no_elevation=why_no_elevation(
+                plan.array, plan.hemisphere, plan.method, plan.bundle
+            ),
+        ),
         channel_map=plan.channel_map,
         sample_rate=plan.stft.sample_rate,
         frame_s=plan.stft.n_fft / plan.stft.sample_rate,

@@ -13,7 +13,7 @@ import soxr
 from neuralmusic.errors import InvalidOption, NoiseCalibrationFailed
 from neuralmusic.protocol.client_messages import AudioFormat, OutputOptions
 from neuralmusic.protocol.framing import NANOSECONDS
-from neuralmusic.protocol.methods import Method
+from neuralmusic.protocol.methods import Hemisphere, Method
 from neuralmusic.protocol.server_messages import WhyNoSource
 from service.audio.pcm import decode_pcm
 from service.doa.array import MicrophoneArray
@@ -49,6 +49,8 @@ class StreamPlan:
     stft: Stft
     noise: NoiseCovariance | None = None
     """The robot's own noise, to be removed"""
+    hemisphere: Hemisphere = "both"
+    """Side of the horizontal plane on which sources are"""
 
 
 class Estimate(NamedTuple):
@@ -109,7 +111,7 @@ class StreamPipeline:
         plan = self._plan
         microphones = plan.array.num_microphones
         self._localizer = stream_localizer_of(
-            plan.method, plan.bundle, plan.array, plan.stft, noise
+            plan.method, plan.bundle, plan.array, plan.stft, noise, plan.hemisphere
         )
         self._noise = noise
         # The audio that a resampler still holds is lost; its time is not.
@@ -221,7 +223,7 @@ class StreamPipeline:
         end = self.stream_samples
         self._reported = end
         t_end = end / self._rate
-        found = [Detection(source.azimuth, source.confidence) for source in heard]
+        found = [Detection(s.azimuth, s.confidence, s.elevation) for s in heard]
         followed = self._tracker.update(found, t_end)
         # A track may coast into an excluded sector.
         tracks = [track for track in followed if not orientation.excludes(track.azimuth)]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from neuralmusic.errors import InvalidOption
-from neuralmusic.protocol.methods import METHODS
+from neuralmusic.protocol.methods import HEMISPHERES, METHODS
 
 NAMES = (
     "channel_map",
@@ -21,6 +21,7 @@ NAMES = (
     "hop_s",
     "yaw_deg",
     "exclude_deg",
+    "hemisphere",
 )
 """Flags that are options of the HTTP interface, besides the array"""
 
@@ -81,6 +82,12 @@ def add_choices(parser: Arguments) -> None:
     add("--num-sources", metavar="M", help="the known number of sources")
     add("--max-sources", metavar="M", help="most sources, where their number is estimated")
     add("--yaw", dest="yaw_deg", metavar="DEGREES", help="how far the array is turned on the robot")
+    add(
+        "--hemisphere",
+        choices=HEMISPHERES,
+        help="the side of the horizontal plane on which sources are: a level array then tells "
+        "their elevation",
+    )
     add(
         "--exclude",
         dest="exclude_deg",

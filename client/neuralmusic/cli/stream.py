@@ -48,9 +48,10 @@ READERS: dict[str, Callable[[str], Any]] = {
     "max_sources": partial(read_integer, low=1, high=4),
     "yaw_deg": partial(read_number, low=-360, high=360),
     "exclude_deg": read_sectors,
+    "hemisphere": str,
 }
 """Readers of the flags' texts"""
-OF_START = ("channel_map", "method", "model")
+OF_START = ("channel_map", "hemisphere", "method", "model")
 """Options that are fields of ``start``; the others belong to its ``output``"""
 
 

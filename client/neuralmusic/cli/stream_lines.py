@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from typing import TextIO
 
 from neuralmusic.cli.stream_outputs import Text, heading, note
-from neuralmusic.cli.words import clock, degrees, sector
+from neuralmusic.cli.words import clock, direction, radians, sector
 from neuralmusic.protocol.server_messages import Ready, Result, Summary
 from neuralmusic.streams.inbox import StreamEvent
 
@@ -25,10 +24,10 @@ class PlainLines(Text):
             words = "" if isinstance(event, Summary) else note(event)  # printed at the end
             return f"{words}\n" if words else ""
         heard = ", ".join(
-            f"{degrees(azimuth)} {sector(azimuth)} (id {source.id})"
+            f"{direction(*towards)} {sector(towards[0])} (id {source.id})"
             for source in event.sources
             if source.active
-            for azimuth in [math.radians(source.azimuth_deg)]
+            for towards in [radians(source)]
         )
         if heard == self._last:
             return ""

@@ -26,7 +26,7 @@ from neuralmusic.protocol.server_messages import (
 from neuralmusic.streams.inbox import Reconnecting, StreamEvent
 
 COLUMNS = (
-    "t_end", "capture_time_ns", "id", "azimuth_deg", "confidence", "active",
+    "t_end", "capture_time_ns", "id", "azimuth_deg", "elevation_deg", "confidence", "active",
     "velocity_deg_s", "std_deg", "lag_ms",
 )  # fmt: skip
 MAX_DATAGRAM = 65_507

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from neuralmusic.cli.stream_outputs import heading, note
 from neuralmusic.cli.terminal import table
-from neuralmusic.cli.words import clock, degrees, sector
+from neuralmusic.cli.words import clock, direction, radians, sector
 from neuralmusic.protocol.server_messages import ODAS_HOP_S, OdasSst, Ready, Result, Summary
 from neuralmusic.streams.inbox import StreamEvent
 
@@ -26,6 +26,8 @@ class Row:
     id: int
     azimuth: float
     """Radians, counter-clockwise"""
+    elevation: Optional[float]
+    """Radians, if the array tells it"""
     confidence: float
     active: bool
 
@@ -53,15 +55,12 @@ class LiveTable:
         if isinstance(event, Ready):
             self._heading = heading(event)
         elif isinstance(event, Result):
-            self._rows = [
-                Row(s.id, math.radians(s.azimuth_deg), s.confidence, s.active)
-                for s in event.sources
-            ]
+            self._rows = [Row(s.id, *radians(s), s.confidence, s.active) for s in event.sources]
             why = f", {event.why_no_source.replace('_', ' ')}" if event.why_no_source else ""
             self._status = f"{clock(event.t_end)}, {event.lag_ms:.0f} ms behind{why}"
         elif isinstance(event, OdasSst):
             self._rows = [
-                Row(s.id, math.atan2(s.y, s.x), s.activity, s.activity > LIKELY_ACTIVE)
+                Row(s.id, math.atan2(s.y, s.x), None, s.activity, s.activity > LIKELY_ACTIVE)
                 for s in event.src
                 if s.id
             ]
@@ -94,7 +93,7 @@ class LiveTable:
         for row in self._rows:
             drawn.add_row(
                 str(row.id),
-                degrees(row.azimuth),
+                direction(row.azimuth, row.elevation),
                 sector(row.azimuth),
                 f"{row.confidence:.2f}",
                 "active" if row.active else "pausing",

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING, Optional
+
+if TYPE_CHECKING:
+    from neuralmusic.protocol.server_messages import StreamSource
 
 SECTORS = ("front", "front left", "left", "back left", "back", "back right", "right", "front right")
 
@@ -16,6 +20,18 @@ def sector(azimuth: float) -> str:
 def degrees(azimuth: float) -> str:
     """Radians as ``45°``; 359.9 degrees are 0, not 360."""
     return f"{round(math.degrees(azimuth)) % 360}°"
+
+
+def direction(azimuth: float, elevation: Optional[float] = None) -> str:
+    """A direction in radians as ``45°``, or ``45° +10°`` with an elevation."""
+    height = "" if elevation is None else f" {round(math.degrees(elevation)):+d}°"
+    return degrees(azimuth) + height
+
+
+def radians(source: StreamSource) -> tuple[float, Optional[float]]:
+    """Azimuth and elevation of a stream's source in radians."""
+    height = source.elevation_deg
+    return math.radians(source.azimuth_deg), None if height is None else math.radians(height)
 
 
 def clock(seconds: float) -> str:

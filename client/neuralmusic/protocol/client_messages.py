@@ -8,7 +8,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, field_validator
 
 from neuralmusic.protocol.framing import SAMPLE_BYTES, Encoding, HeaderKind
 from neuralmusic.protocol.message import Message, message_type, read_message
-from neuralmusic.protocol.methods import Method
+from neuralmusic.protocol.methods import Hemisphere, Method
 from neuralmusic.protocol.names import MAX_LABEL, NAME
 
 Position = tuple[float, float, float]
@@ -104,6 +104,9 @@ class Start(Message):
     """A model's name (`GET /models`); `default` is the first that fits the array"""
     method: Optional[Method] = None
     """Null is `neural` where a model fits the array, else `norm_music`"""
+    hemisphere: Hemisphere = "both"
+    """`upper` or `lower`: the side of the horizontal plane on which all sources are. A level array
+    tells elevations only where it is known"""
     output: OutputOptions = OutputOptions()
     overflow: Literal["drop_oldest", "block"] = "drop_oldest"
     """What happens to audio that comes faster than it is localized: with `drop_oldest` results

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Optional
 
 
 def degrees(radians: float) -> float:
@@ -15,6 +16,13 @@ def azimuth_deg(azimuth: float) -> float:
     return degrees(azimuth) % 360.0
 
 
-def unit_vector(azimuth: float) -> list[float]:
-    """``[x, y, z]`` towards an azimuth in radians, in the horizontal plane."""
-    return [round(math.cos(azimuth), 5), round(math.sin(azimuth), 5), 0.0]
+def elevation_deg(elevation: Optional[float]) -> Optional[float]:
+    """Degrees of an angle in radians, if there is one."""
+    return None if elevation is None else degrees(elevation)
+
+
+def unit_vector(azimuth: float, elevation: Optional[float] = None) -> list[float]:
+    """``[x, y, z]`` towards angles in radians; without an elevation in the horizontal plane."""
+    level, height = (1.0, 0.0) if elevation is None else (math.cos(elevation), math.sin(elevation))
+    x, y = level * math.cos(azimuth), level * math.sin(azimuth)
+    return [round(x, 5), round(y, 5), round(height, 5)]

@@ -1,4 +1,4 @@
-"""Names of the localization methods, the same in every interface."""
+"""Names of the localization methods and of the hemispheres, the same in every interface."""
 
 from __future__ import annotations
 
@@ -6,3 +6,6 @@ from typing import Literal, get_args
 
 Method = Literal["neural", "norm_music", "music", "srp_phat"]
 METHODS: tuple[Method, ...] = get_args(Method)
+Hemisphere = Literal["both", "upper", "lower"]
+"""Side of the horizontal plane on which sources are"""
+HEMISPHERES: tuple[Hemisphere, ...] = get_args(Hemisphere)

@@ -63,6 +63,8 @@ class StreamArray(Part):
     name: str
     positions_m: list[list[float]]
     """Metres, `[x, y, z]` per microphone: x forward, y left, z up"""
+    why_no_elevation: Optional[str] = None
+    """Why `elevation_deg` is null; null where elevations are told"""
 
 
 class Timing(Part):
@@ -126,10 +128,11 @@ class StreamSource(Part):
     """Identity of the source, stable while it is tracked and never used again"""
     azimuth_deg: float
     """Degrees in [0, 360), counter-clockwise from +x, yaw offset included"""
-    elevation_deg: None = None
-    """Not estimated: a planar array cannot tell above from below"""
+    elevation_deg: Optional[float] = None
+    """Degrees from -90 to 90 above the array's horizontal plane; null where the array or the method
+    tells azimuths only, as `array.why_no_elevation` says"""
     unit_vector: list[float]
-    """`[x, y, z]` towards the source in the robot's frame, z = 0"""
+    """`[x, y, z]` towards the source in the robot's frame; z = 0 without an elevation"""
     confidence: float
     """0 to 1: the chance that a source is within 10 degrees of there"""
     active: bool
@@ -137,7 +140,7 @@ class StreamSource(Part):
     velocity_deg_s: float
     """Degrees per second, counter-clockwise"""
     std_deg: float
-    """Standard deviation of the azimuth in degrees"""
+    """Standard deviation of the direction in degrees"""
 
 
 class Result(ServerMessage):

@@ -13,7 +13,7 @@ from typing_extensions import Self
 
 from neuralmusic.addresses import authorization, service_url
 from neuralmusic.errors import ConfigError
-from neuralmusic.protocol.methods import Method
+from neuralmusic.protocol.methods import Hemisphere, Method
 from neuralmusic.recordings.answer import Answer
 from neuralmusic.recordings.form import Array, Recording, Sectors, form_fields, opened
 
@@ -68,6 +68,7 @@ class LocalizationClient:
         hop_s: float | None = None,
         yaw_deg: float | None = None,
         exclude_deg: Sectors | None = None,
+        hemisphere: Hemisphere | None = None,
         noise: str | None = None,
         spectrum: bool | None = None,
     ) -> Answer:
@@ -95,6 +96,9 @@ class LocalizationClient:
             Degrees by which the array is turned on the robot, counter-clockwise.
         exclude_deg : sequence of pairs, optional
             Sectors (from, to) in degrees in which nothing is reported.
+        hemisphere : str, optional
+            ``upper`` or ``lower``, the side of the horizontal plane on which all sources are: a level
+            array then tells elevations.
         noise : str, optional
             A stored profile of the robot's own noise.
         spectrum : bool, optional
@@ -123,6 +127,7 @@ class LocalizationClient:
             "hop_s": hop_s,
             "yaw_deg": yaw_deg,
             "exclude_deg": exclude_deg,
+            "hemisphere": hemisphere,
             "noise": noise,
             "spectrum": spectrum,
         }
@@ -182,6 +187,7 @@ class AsyncLocalizationClient:
         hop_s: float | None = None,
         yaw_deg: float | None = None,
         exclude_deg: Sectors | None = None,
+        hemisphere: Hemisphere | None = None,
         noise: str | None = None,
         spectrum: bool | None = None,
     ) -> Answer:
@@ -196,6 +202,7 @@ class AsyncLocalizationClient:
             "hop_s": hop_s,
             "yaw_deg": yaw_deg,
             "exclude_deg": exclude_deg,
+            "hemisphere": hemisphere,
             "noise": noise,
             "spectrum": spectrum,
         }

@@ -19,7 +19,7 @@ from neuralmusic.protocol.client_messages import (
     Start,
     Update,
 )
-from neuralmusic.protocol.methods import Method
+from neuralmusic.protocol.methods import Hemisphere, Method
 from neuralmusic.protocol.server_messages import Ready, Result, Summary
 from neuralmusic.streams.backoff import Backoff
 from neuralmusic.streams.connection import Timeouts
@@ -45,6 +45,7 @@ class StreamControls:
         overflow: Literal["drop_oldest", "block"] | None = None,
         client: str | None = None,
         noise: Literal["kept", "none"] | None = None,
+        hemisphere: Hemisphere | None = None,
         key: str | None = None,
         reconnect: bool | None = None,
         wait_s: float = 0.0,
@@ -60,7 +61,7 @@ class StreamControls:
         url : str
             ``http(s)://`` or ``ws(s)://``, with or without ``/stream``.
         start : Start, optional
-            The first message, instead of the fields from ``audio`` to ``noise``.
+            The first message, instead of the fields from ``audio`` to ``hemisphere``.
         audio : AudioFormat or mapping
             Format of the audio: ``{"encoding": "pcm_s16le", "sample_rate": 16000,
             "channels": 4}``.
@@ -82,6 +83,9 @@ class StreamControls:
             The robot's name, under which its noise calibration is stored.
         noise : str, optional
             ``kept``, the default, uses the noise calibration stored for this client, ``none`` none.
+        hemisphere : str, optional
+            ``upper`` or ``lower``, the side of the horizontal plane on which all sources are: a
+            level array then tells elevations.
         key : str, optional
             The service's key.
         reconnect : bool, optional
@@ -113,6 +117,7 @@ class StreamControls:
             "overflow": overflow,
             "client": client,
             "noise": noise,
+            "hemisphere": hemisphere,
         }
         options = StreamOptions(
             key, reconnect, wait_s, queue_s, max_unread, backoff or Backoff(), timeouts

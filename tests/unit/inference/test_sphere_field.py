@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import get_args
-
 import numpy as np
 import pytest
 
+from neuralmusic.protocol.methods import HEMISPHERES, Hemisphere
 from service.doa.array import MicrophoneArray
-from service.doa.hemisphere import Hemisphere
 from service.doa.presets import preset
 from service.doa.sphere import angle_between
 from service.doa.steering import unit_vectors
@@ -73,7 +71,7 @@ def test_two_talkers_at_one_azimuth_are_two(bundle: Bundle, plane_waves) -> None
     )
 
 
-@pytest.mark.parametrize("hemisphere", get_args(Hemisphere))
+@pytest.mark.parametrize("hemisphere", HEMISPHERES)
 def test_a_level_array_tells_elevations_where_the_side_is_known(
     bundle: Bundle, plane_waves, hemisphere: Hemisphere
 ) -> None:
