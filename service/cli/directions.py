@@ -84,8 +84,8 @@ def _directions(stretch: Interval) -> str:
     if not sources:
         return "-"
     return ", ".join(
-        f"{direction(source.azimuth, source.elevation)} {sector(source.azimuth)} ({source.confidence:.2f})"
-        for source in sorted(sources, key=lambda source: -source.confidence)
+        f"{direction(s.azimuth, s.elevation)} {sector(s.azimuth)} ({s.confidence:.2f})"
+        for s in sorted(sources, key=lambda source: -source.confidence)
     )
 
 

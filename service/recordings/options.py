@@ -125,8 +125,8 @@ OPTIONS: Mapping[str, Option] = {
     "hemisphere": Option(
         str,
         {"type": "string", "enum": list(HEMISPHERES), "default": "both"},
-        "Side of the horizontal plane on which all sources are. A level array tells elevations only "
-        "where it is known.",
+        "Side of the horizontal plane on which all sources are. A level array tells elevations "
+        "only where it is known.",
     ),
     "noise": Option(
         str,

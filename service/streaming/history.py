@@ -74,7 +74,7 @@ class History:
 def _unpacked(packed: bytes) -> HistoryEntry:
     t_end, captured, capture_time_ns = _HEAD.unpack_from(packed)
     points = tuple(
-        Point(*fields, None if math.isnan(elevation) else round(elevation, 2))
-        for *fields, elevation in _POINT.iter_unpack(packed[_HEAD.size :])
+        Point(number, azimuth, chance, active, None if math.isnan(height) else round(height, 2))
+        for number, azimuth, chance, active, height in _POINT.iter_unpack(packed[_HEAD.size :])
     )
     return HistoryEntry(t_end, capture_time_ns if captured else None, points)

@@ -97,8 +97,8 @@ class LocalizationClient:
         exclude_deg : sequence of pairs, optional
             Sectors (from, to) in degrees in which nothing is reported.
         hemisphere : str, optional
-            ``upper`` or ``lower``, the side of the horizontal plane on which all sources are: a level
-            array then tells elevations.
+            ``upper`` or ``lower``, the side of the horizontal plane on which all sources are: a
+            level array then tells elevations.
         noise : str, optional
             A stored profile of the robot's own noise.
         spectrum : bool, optional
