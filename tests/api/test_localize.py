@@ -58,7 +58,12 @@ def test_the_answer_has_the_promised_shape(localize: Any, sounds: Any) -> None:
     ]
     assert len(window["spectrum"]) == 360
     assert away(float(np.argmax(window["spectrum"])), 77.0) <= 2
-    assert list(answer["summary"]["sources"][0]) == ["azimuth_deg", "confidence", "share"]
+    assert list(answer["summary"]["sources"][0]) == [
+        "azimuth_deg",
+        "confidence",
+        "share",
+        "elevation_deg",
+    ]
 
 
 def test_a_form_and_a_raw_body_give_the_same_answer(localize: Any, sounds: Any) -> None:

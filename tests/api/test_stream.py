@@ -314,7 +314,7 @@ def test_a_session_can_be_watched_listed_and_exported(service: RunningService) -
     )
     assert len(lines.splitlines()) == listed["results"]
     assert json.loads(lines.splitlines()[0])["t_end"] == pytest.approx(0.1)
-    assert table.startswith("t_end,capture_time_ns,id,azimuth_deg,confidence,active")
+    assert table.startswith("t_end,capture_time_ns,id,azimuth_deg,elevation_deg,confidence,active")
 
 
 def test_a_store_that_waits_for_its_disk_holds_up_nobody_else(

@@ -131,6 +131,7 @@ def test_both_bodies_and_every_option_are_documented(document: Any) -> None:
         "hop_s",
         "yaw_deg",
         "exclude_deg",
+        "hemisphere",
         "noise",
         "spectrum",
     }

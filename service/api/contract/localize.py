@@ -80,7 +80,7 @@ LOCALIZE_EXAMPLE: dict[str, Any] = {
         "name": "any-array",
         "version": "0.4.0",
         "variant": "weights",
-        "sha256": "b7c485dedcb826aafaba2514258042750a3fd3fcfb983a44f92451cbcdd7e775",
+        "sha256": "a58b2253b70d5714fbc3faac16015d0d18a960b17937ba7f28d4fa3ca2b521ea",
     },
     "method": "neural",
     "audio": {"sample_rate": 16000, "channels": 4, "duration_s": 8.5},
@@ -93,6 +93,9 @@ LOCALIZE_EXAMPLE: dict[str, Any] = {
             [0.02285, -0.02285, 0.0],
         ],
         "channel_map": [0, 1, 2, 3],
+        "why_no_elevation": "the microphones lie in a level plane, which hears a source above it "
+        "and its mirror image below it alike: say hemisphere=upper or lower where all sources are "
+        "on one side",
     },
     "windows": [
         {
@@ -119,8 +122,8 @@ LOCALIZE_EXAMPLE: dict[str, Any] = {
     ],
     "summary": {
         "sources": [
-            {"azimuth_deg": 45.94, "confidence": 0.981, "share": 0.875},
-            {"azimuth_deg": 199.89, "confidence": 0.97, "share": 0.688},
+            {"azimuth_deg": 45.94, "confidence": 0.981, "share": 0.875, "elevation_deg": None},
+            {"azimuth_deg": 199.89, "confidence": 0.97, "share": 0.688, "elevation_deg": None},
         ]
     },
     "warnings": [],

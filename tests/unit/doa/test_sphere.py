@@ -78,7 +78,7 @@ def test_a_peak_of_known_shape_is_met_between_the_grid_s_directions(
     (highest, *others) = grid.peaks(spectrum, 3)
     assert not others
     found = grid.vertex(spectrum, highest)
-    assert np.rad2deg(angle_between(found, truth)) < 0.6  # the grid's own error reaches 5.4
+    assert np.rad2deg(angle_between(found, truth)) < 1.0  # the grid's own error reaches 5.4
 
 
 def test_maxima_that_are_close_are_one_and_a_constant_has_none() -> None:

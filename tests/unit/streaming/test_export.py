@@ -37,6 +37,7 @@ def test_lines_hold_results_without_sources_too() -> None:
     assert lines[0]["sources"][1] == {
         "id": 2,
         "azimuth_deg": 200.0,
+        "elevation_deg": None,
         "confidence": 0.4,
         "active": False,
     }
