@@ -13,6 +13,7 @@ import typing
 if typing.TYPE_CHECKING:
     from neuralmusic.client_errors import (
         ClientError,
+        InvalidAnswer,
         ServiceProblem,
         ServiceUnreachable,
         StreamClosed,
@@ -32,6 +33,7 @@ __all__ = [
     "AsyncStreamClient",
     "Backoff",
     "ClientError",
+    "InvalidAnswer",
     "LocalizationClient",
     "Reconnecting",
     "ServiceProblem",
@@ -48,6 +50,7 @@ _HOMES = {
     "AsyncStreamClient": "streams.async_stream",
     "Backoff": "streams.backoff",
     "ClientError": "client_errors",
+    "InvalidAnswer": "client_errors",
     "LocalizationClient": "recordings.client",
     "Reconnecting": "streams.inbox",
     "ServiceProblem": "client_errors",

@@ -2,12 +2,14 @@
 
 ClientError
 ├─ ServiceUnreachable
+├─ InvalidAnswer
 └─ ServiceProblem ─ StreamRefused · StreamClosed
 """
 
 from __future__ import annotations
 
 import json
+import re
 import ssl
 from typing import Optional
 from urllib.parse import urlsplit
@@ -17,6 +19,8 @@ from typing_extensions import Self
 from neuralmusic.errors import DoaError
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
+LONGEST_WAIT_S = 3600.0
+"""Most seconds that a service's ``Retry-After`` is believed"""
 RETRYABLE_STATUS = frozenset({429, 502, 503, 504})
 """HTTP statuses worth a retry. A proxy answers 502 and 504 for a service that restarts; 429 passes,
 as when a robot reconnects before the service notices that its last session is over"""
@@ -58,6 +62,10 @@ class ServiceUnreachable(
         )
 
 
+class InvalidAnswer(ClientError, code="answer_invalid", title="Invalid answer"):
+    """What answers does not answer as this service does, or without end."""
+
+
 class ServiceProblem(ClientError, code="service_problem", title="The service refused"):
     """The service refused: ``code``, ``title`` and ``detail`` are the service's own.
 
@@ -97,15 +105,17 @@ class ServiceProblem(ClientError, code="service_problem", title="The service ref
     ) -> Self:
         """The problem of an HTTP answer, whose body is a problem document or a proxy's page.
 
-        A ``Retry-After`` with a date is ignored.
+        A ``Retry-After`` that is no number of seconds is ignored.
         """
         try:
             problem = json.loads(body)
             code, title, detail = (str(problem[key]) for key in ("code", "title", "detail"))
-        except (ValueError, LookupError, TypeError):
+        except (ValueError, LookupError, TypeError, RecursionError):
             code, title = f"http_{status}", reason or "Refused"
             detail = f"the service answered with HTTP status {status} ({title})"
-        wait = float(retry_after) if retry_after and retry_after.strip().isdigit() else None
+        wait = None
+        if re.fullmatch("[0-9]+", retry_after or "", re.ASCII):
+            wait = min(float(str(retry_after)[:12]), LONGEST_WAIT_S)
         return cls(code, title, detail, status, status in RETRYABLE_STATUS, retry_after_s=wait)
 
 

@@ -6,8 +6,7 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
-from neuralmusic.client_errors import ServiceProblem
-from neuralmusic.errors import InvalidOption
+from neuralmusic.client_errors import InvalidAnswer, ServiceProblem
 
 Answer = dict[str, Any]
 
@@ -26,23 +25,23 @@ class Answered:
     """Header ``Retry-After``"""
 
     def document(self, key: str) -> Answer:
-        """The JSON object of the answer, which must have this key.
+        """The JSON object of the answer, which must have a list under this key.
 
         Raises
         ------
         ServiceProblem
             If the service refused.
-        InvalidOption
-            If another server answers.
+        InvalidAnswer
+            If something else answers.
         """
         if not 200 <= self.status < 300:
             raise ServiceProblem.answered(self.status, self.reason, self.body, self.retry_after)
         try:
-            document = json.loads(self.body)
-        except ValueError:
+            document = json.loads(self.body, parse_constant=_no_number)
+        except (ValueError, RecursionError):
             document = None
-        if not (isinstance(document, dict) and key in document):
-            raise InvalidOption(
+        if not (isinstance(document, dict) and isinstance(document.get(key), list)):
+            raise InvalidAnswer(
                 f"{self.url} answers, but not as this service does: check the address"
             )
         return document
@@ -51,3 +50,8 @@ class Answered:
         """The list under a name in the answer; raises as ``document``."""
         found: list[Answer] = self.document(name)[name]
         return found
+
+
+def _no_number(constant: str) -> None:
+    """JSON has no NaN and no infinity, though Python reads them."""
+    raise ValueError(f"{constant} is no JSON")

@@ -6,7 +6,6 @@ Compression stays off: it costs milliseconds per message and hardly shortens aud
 from __future__ import annotations
 
 import asyncio
-import logging
 import os
 import socket
 from dataclasses import dataclass
@@ -23,22 +22,21 @@ from websockets.typing import Subprotocol
 
 from neuralmusic.addresses import authorization
 from neuralmusic.client_errors import ServiceProblem, ServiceUnreachable, StreamRefused
-from neuralmusic.errors import InvalidMessage, InvalidOption
+from neuralmusic.errors import InvalidOption
 from neuralmusic.protocol import SUBPROTOCOL
 from neuralmusic.protocol.client_messages import Start
 from neuralmusic.protocol.close_codes import RETRYABLE
 from neuralmusic.protocol.server_messages import (
-    AnyServerMessage,
     Closing,
     Ready,
     StreamError,
-    read_server_message,
 )
-from neuralmusic.streams.timeout import within
-
-logger = logging.getLogger("neuralmusic.client")
+from neuralmusic.streams.incoming import Incoming
+from neuralmusic.timeout import within
 
 Problem = TypeVar("Problem", bound=ServiceProblem)
+CLOSE_S = 0.5
+"""Seconds for the service's answer to a close"""
 MIN_SEND_BUFFER = 64 * 1024
 MAX_SERVER_MESSAGE = 2**20
 
@@ -77,6 +75,8 @@ async def open_connection(
         If nothing answers.
     StreamRefused
         If the service refuses.
+    InvalidAnswer
+        If something else answers.
     """
     try:
         websocket = await connect(
@@ -105,8 +105,16 @@ async def open_connection(
     try:
         return websocket, await _start(websocket, url, start, timeouts, send_buffer)
     except BaseException:
-        await websocket.close()
+        await close_at_once(websocket)
         raise
+
+
+async def close_at_once(websocket: ClientConnection) -> None:
+    """Close a connection without waiting for further messages."""
+    closing = asyncio.ensure_future(websocket.close())
+    await asyncio.wait([closing], timeout=CLOSE_S)
+    websocket.transport.abort()  # the close of a service that goes on sending takes seconds
+    await asyncio.gather(closing, return_exceptions=True)
 
 
 async def _start(
@@ -119,35 +127,30 @@ async def _start(
             f"{url} does not speak {SUBPROTOCOL}: is it this service, in this version?",
         )
     _shrink_send_buffer(websocket, max(send_buffer, MIN_SEND_BUFFER))
-    said: StreamError | Closing | None = None
     try:
         await websocket.send(start.model_dump_json(exclude_unset=True))
+        return await within(timeouts.open_s, _ready(websocket))
+    except ConnectionClosed:
+        raise closed_by(websocket, None, StreamRefused) from None
+    except asyncio.TimeoutError:
+        raise ServiceUnreachable(
+            f"{url} accepted the connection but did not answer `start` within {timeouts.open_s:g} s"
+        ) from None
+
+
+async def _ready(websocket: ClientConnection) -> Ready:
+    """The ``ready`` of the service, or its refusal."""
+    said: StreamError | Closing | None = None
+    incoming = Incoming()
+    try:
         while True:
-            message = read_known(await _receive(websocket, url, timeouts.open_s))
+            message = incoming.read(await websocket.recv())
             if isinstance(message, Ready):
                 return message
             if isinstance(message, (StreamError, Closing)):
                 said = message
     except ConnectionClosed:
         raise closed_by(websocket, said, StreamRefused) from None
-
-
-async def _receive(websocket: ClientConnection, url: str, timeout_s: float) -> str | bytes:
-    try:
-        return await within(timeout_s, websocket.recv())
-    except asyncio.TimeoutError:
-        raise ServiceUnreachable(
-            f"{url} accepted the connection but did not answer `start` within {timeout_s:g} s"
-        ) from None
-
-
-def read_known(text: str | bytes) -> AnyServerMessage | None:
-    """A message, or None for one of a newer service that this client does not know."""
-    try:
-        return read_server_message(text)
-    except InvalidMessage as error:
-        logger.warning("a message of the service is skipped: %s", error.detail)
-        return None
 
 
 def closed_by(

@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Union
 
 from neuralmusic.protocol.server_messages import RESULTS, AnyServerMessage
-from neuralmusic.streams.timeout import within
+from neuralmusic.timeout import within
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from neuralmusic.client_errors import (
     StreamRefused,
 )
 from neuralmusic.errors import InvalidOption
-from neuralmusic.protocol.client_messages import Start, Stop
+from neuralmusic.protocol.client_messages import Ping, Start, Stop
 from neuralmusic.protocol.message import Message
 from neuralmusic.protocol.server_messages import (
     RESULTS,
@@ -29,10 +29,11 @@ from neuralmusic.protocol.server_messages import (
     Summary,
 )
 from neuralmusic.streams.backoff import Backoff
-from neuralmusic.streams.connection import Timeouts, closed_by, open_connection, read_known
+from neuralmusic.streams.connection import Timeouts, close_at_once, closed_by, open_connection
 from neuralmusic.streams.inbox import Inbox, Reconnecting
+from neuralmusic.streams.incoming import Incoming
 from neuralmusic.streams.send_queue import SendQueue
-from neuralmusic.streams.timeout import within
+from neuralmusic.timeout import within
 
 NOT_OPEN = "the stream is not open yet: use it as a context manager"
 OPEN_ALREADY = "the stream is open already, or was: make another one"
@@ -40,8 +41,6 @@ UNREAD_LIVE = 64
 UNREAD_RECORDING = 10_000
 RECORDING_PING_TIMEOUT_S = 120.0
 """Ping timeout in seconds for recordings: a service at full speed reads pings late"""
-CLOSE_S = 0.5
-"""Seconds for the service's answer to a close"""
 
 Failure = Union[ServiceProblem, ServiceUnreachable]
 
@@ -243,7 +242,7 @@ class Sessions:
             await asyncio.gather(sender, return_exceptions=True)
             self.outgoing.end()
             self._taken.set()
-            await _close(websocket)
+            await close_at_once(websocket)
         if websocket.close_code == 1000 and not isinstance(said, StreamError):
             return None
         return closed_by(websocket, said, StreamClosed)
@@ -255,19 +254,29 @@ class Sessions:
                 while (message := self.outgoing.take()) is not None:
                     self._taken.set()
                     await within(self._timeouts.ping_timeout_s, websocket.send(message))
-                await self._added.wait()
+                await self._wait_for_audio(websocket)
         except ConnectionClosed:
             pass
         except asyncio.TimeoutError:
             # Pings queue behind data that the network does not take, so none is ever missed.
             websocket.transport.abort()
 
+    async def _wait_for_audio(self, websocket: ClientConnection) -> None:
+        """Wait until a message is there to be sent; pings keep the session through a pause."""
+        while not self._added.is_set():
+            try:
+                await within(self.ready.limits.idle_timeout_s / 3, self._added.wait())
+            except asyncio.TimeoutError:
+                ping = Ping(type="ping").model_dump_json(exclude_unset=True)
+                await within(self._timeouts.ping_timeout_s, websocket.send(ping))
+
     async def _read_all(self, websocket: ClientConnection) -> StreamError | Closing | None:
         """Read until the connection is closed; return the service's ``error`` or ``closing``."""
         said: StreamError | Closing | None = None
+        incoming = Incoming()
         with contextlib.suppress(ConnectionClosed):
             while True:
-                message = read_known(await websocket.recv())
+                message = incoming.read(await websocket.recv())
                 if message is None:
                     continue
                 self._received += 1
@@ -281,10 +290,3 @@ class Sessions:
                     said = message
                 self.inbox.put(message)
         return said
-
-
-async def _close(websocket: ClientConnection) -> None:
-    """Close a connection without waiting for further results."""
-    with contextlib.suppress(asyncio.TimeoutError):
-        await within(CLOSE_S, websocket.close())
-    websocket.transport.abort()

@@ -22,10 +22,10 @@ from typing import Any
 from typing_extensions import Self
 
 from neuralmusic.errors import InvalidOption
+from neuralmusic.loop_thread import LoopThread
 from neuralmusic.protocol.server_messages import Summary
 from neuralmusic.streams.controls import StreamControls
 from neuralmusic.streams.inbox import StreamEvent
-from neuralmusic.streams.loop_thread import LoopThread
 from neuralmusic.streams.sessions import NOT_OPEN, OPEN_ALREADY
 
 

@@ -15,6 +15,7 @@ import soundfile
 
 from neuralmusic import (
     AsyncLocalizationClient,
+    InvalidAnswer,
     LocalizationClient,
     ServiceProblem,
     ServiceUnreachable,
@@ -127,7 +128,7 @@ def test_a_full_service_says_when_to_come_back() -> None:
 
 @pytest.mark.parametrize("body", [b"<html>hello</html>", b"[]", b'{"other": 1}', b""])
 def test_another_server_is_noticed(body: bytes) -> None:
-    with answering(200, body) as client, pytest.raises(InvalidOption, match="check the address"):
+    with answering(200, body) as client, pytest.raises(InvalidAnswer, match="check the address"):
         client.models()
     with answering(500, body) as client, pytest.raises(ServiceProblem, match="HTTP status 500"):
         client.arrays()

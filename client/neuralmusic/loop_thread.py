@@ -8,7 +8,6 @@ from collections.abc import Coroutine
 from typing import Any, TypeVar
 
 from neuralmusic.errors import InvalidOption
-from neuralmusic.streams.sessions import NOT_OPEN
 
 T = TypeVar("T")
 END_S = 1.0
@@ -38,7 +37,7 @@ class LoopThread:
         with self._calls:
             if self.closed:
                 coroutine.close()
-                raise InvalidOption(NOT_OPEN)
+                raise InvalidOption("the client is closed: make another one")
             future = asyncio.run_coroutine_threadsafe(coroutine, self._loop)
         try:
             return future.result()
