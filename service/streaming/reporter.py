@@ -9,7 +9,7 @@ from typing import Any
 from neuralmusic.errors import DoaError
 from neuralmusic.protocol import MAX_MESSAGE_BYTES
 from neuralmusic.protocol.client_messages import OutputOptions, Start
-from neuralmusic.protocol.close_codes import CloseCode
+from neuralmusic.protocol.close_codes import RETRYABLE, CloseCode
 from neuralmusic.protocol.server_messages import (
     Closing,
     Limits,
@@ -223,7 +223,7 @@ class Reporter:
             code=error.code,
             title=error.title,
             detail=error.detail,
-            retryable=error.retryable,
+            retryable=error.retryable or error.close_code in RETRYABLE,
             close_code=error.close_code,
         )
 

@@ -12,7 +12,7 @@ from source_tree import ROOT, modules, own_imports, room
 ORDER = {
     "neuralmusic": (
         ("errors",),
-        ("addresses", "arrays", "client_errors", "protocol"),
+        ("addresses", "arrays", "client_errors", "loop_thread", "protocol", "timeout"),
         ("option_text", "recordings", "streams", "wav"),
         ("sources",),
         ("__init__",),

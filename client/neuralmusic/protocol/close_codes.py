@@ -36,11 +36,10 @@ REASONS: Mapping[CloseCode, str] = {
     CloseCode.OVERLOADED: "unused: a full service answers the handshake with 503",
     CloseCode.INVALID_MESSAGE: "a message was wrong; its `error` says what",
     CloseCode.UNAUTHORIZED: "the key was removed, has expired or lost its role",
-    CloseCode.TIMEOUT: "nothing came, or nothing was read, for too long; after the network "
-    "stalled, connect again",
+    CloseCode.TIMEOUT: "nothing came, or nothing was read, for too long",
     CloseCode.SESSION_LIMIT: "the session reached its longest duration",
     CloseCode.TOO_MANY_SESSIONS: "this client has too many sessions, or its key's audio is used up",
 }
 
-RETRYABLE = frozenset({1001, 1005, 1006, 1011, 1012, 1013, 1015})
-"""Codes after which the same session may succeed later; 4xxx are never among them"""
+RETRYABLE = frozenset({1001, 1005, 1006, 1011, 1012, 1013, 1015, 4408, 4410})
+"""Codes after which another session may succeed"""

@@ -158,7 +158,9 @@ def closed_by(
 ) -> Problem:
     """Why a connection was closed, in the service's words where there are any."""
     code = websocket.close_code or 1006
+    retryable = code in RETRYABLE
     if said is not None:
+        retryable = retryable or (isinstance(said, StreamError) and said.retryable)
         title = said.title if isinstance(said, StreamError) else "Session ended"
         why = said.code, title, said.detail
     else:
@@ -169,7 +171,7 @@ def closed_by(
             else (f"closed_{code}", "Connection closed", "the service closed")
         )
         why = name, title, f"{lost} without a word, code {code}{reason}"
-    return kind(*why, retryable=code in RETRYABLE, close_code=code)
+    return kind(*why, retryable=retryable, close_code=code)
 
 
 def _unreachable(url: str, error: Exception, timeout_s: float) -> ServiceUnreachable:

@@ -226,9 +226,12 @@ def tables() -> str:
     lines += ["", "### Errors of a session", "", "| close code | `code` | why | retry |"]
     lines.append("|---|---|---|---|")
     for error in SESSION_ERRORS:
-        retry = "yes" if error.retryable else ""
+        retry = "yes" if error.retryable or error.close_code in RETRYABLE else ""
         lines.append(f"| {error.close_code} | `{error.code}` | {_why(error)} | {retry} |")
-    lines += [f"| {DoaError.close_code} | `{DoaError.code}` | {UNEXPECTED.capitalize()}. |  |", ""]
+    lines += [
+        f"| {DoaError.close_code} | `{DoaError.code}` | {UNEXPECTED.capitalize()}. | yes |",
+        "",
+    ]
     lines += ["## Close codes", "", "| code | why | retry |", "|---|---|---|"]
     for code in CloseCode:
         lines.append(f"| {code} | {REASONS[code]} | {'yes' if code in RETRYABLE else ''} |")
