@@ -91,8 +91,8 @@ def test_a_device_is_recorded_with_its_own_channels_and_rate(
     def script(peer: Peer) -> None:
         peer.begin()
         heard.extend(peer.hear() for _ in range(5))
-        peer.say(result(1, 45.0), error("session_limit", 4410))
-        peer.close(4410)
+        peer.say(result(1, 45.0), error("unauthorized", 4401))
+        peer.close(4401)
 
     service = service_of(script)
     code, out, err = run(capsys, "--device", "ReSpeaker", "--array", ARRAY, "--url", service.url)
