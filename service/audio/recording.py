@@ -26,7 +26,7 @@ from neuralmusic.errors import (
     TruncatedAudio,
     UnsupportedSampleRate,
 )
-from neuralmusic.wav import PIPE_SIZES, WavHeader, is_wav, read_wav_header
+from neuralmusic.wav import LEAST_UNKNOWN, WavHeader, is_wav, read_wav_header
 from service.audio.containers import HEAD_BYTES, promised_bytes
 from service.doa.types import FloatArray
 
@@ -59,8 +59,12 @@ class AudioLimits:
 class Recording:
     """A multichannel recording whose header has been checked; samples are decoded on demand."""
 
-    def __init__(self, sound: soundfile.SoundFile, closing: ExitStack) -> None:
+    def __init__(
+        self, sound: soundfile.SoundFile, closing: ExitStack, *, open_ended: bool = False
+    ) -> None:
         self._sound = sound
+        self.open_ended = open_ended
+        """Whether the header does not say how long the recording is, and the file's end does"""
         self._closing = closing
         self.sample_rate = int(sound.samplerate)
         self.channels = int(sound.channels)
@@ -82,12 +86,14 @@ class Recording:
         limits = limits or AudioLimits()
         with ExitStack() as stack:
             source = stack.enter_context(file.open("rb")) if isinstance(file, Path) else file
-            _check_header(source, limits)
+            header = _check_header(source, limits)
             source.seek(0)
-            sound = stack.enter_context(_open_sound(source))
+            read = _Source(source) if header is None or header.plain else _Rewritten(source, header)
+            sound = stack.enter_context(_open_sound(read))
             _check_format(sound.channels, sound.samplerate, limits)
             _check_length(sound.frames, sound.samplerate, limits)
-            return cls(sound, stack.pop_all())
+            open_ended = header is not None and header.open_ended
+            return cls(sound, stack.pop_all(), open_ended=open_ended)
 
     @property
     def duration(self) -> float:
@@ -203,10 +209,37 @@ class _Source:
         return self._file.read(count)
 
 
-def _open_sound(source: BinaryIO) -> soundfile.SoundFile:
+class _Rewritten(_Source):
+    """A WAV file whose header libsndfile cannot read, behind one that it can."""
+
+    def __init__(self, file: BinaryIO, header: WavHeader) -> None:
+        super().__init__(file)
+        self._head = header.rewritten
+        self._start = header.start
+        self._size = len(self._head) + header.held
+        self._place = 0
+
+    def seek(self, offset: int, whence: int = SEEK_SET) -> int:
+        base = {SEEK_SET: 0, SEEK_CUR: self._place, SEEK_END: self._size}[whence]
+        self._place = min(max(base + offset, 0), self._size)
+        return self._place
+
+    def tell(self) -> int:
+        return self._place
+
+    def read(self, count: int = -1) -> bytes:
+        count = self._size - self._place if count < 0 else count
+        head = self._head[self._place : self._place + count]
+        self._file.seek(self._start + max(self._place - len(self._head), 0))
+        data = head + self._file.read(count - len(head))
+        self._place += len(data)
+        return data
+
+
+def _open_sound(source: _Source) -> soundfile.SoundFile:
     try:
         # soundfile gets no file name: it would take x.raw for headerless samples.
-        return soundfile.SoundFile(_Source(source), "r")
+        return soundfile.SoundFile(source, "r")
     except (soundfile.SoundFileError, TypeError, ValueError) as error:
         raise NotAudio(
             "the bytes are no audio file that can be read: send WAV, FLAC or another format that "
@@ -214,12 +247,13 @@ def _open_sound(source: BinaryIO) -> soundfile.SoundFile:
         ) from error
 
 
-def _check_header(source: BinaryIO, limits: AudioLimits) -> None:
+def _check_header(source: BinaryIO, limits: AudioLimits) -> WavHeader | None:
+    """The header of a WAV file; None for another format."""
     source.seek(0)
     start = source.read(HEAD_BYTES)
     if not is_wav(start):
         _check_size(source, promised_bytes(start))
-        return
+        return None
     header = read_wav_header(source)
     if header is None:
         raise TruncatedAudio("the WAV file ends before its audio begins: send the whole file")
@@ -227,11 +261,17 @@ def _check_header(source: BinaryIO, limits: AudioLimits) -> None:
         _check_format(header.channels, header.sample_rate, limits)
     if header.truncated:
         raise TruncatedAudio(_truncation(header))
-    if header.promised == 0 and header.held > 0:
+    if header.ambisonic:
+        raise NotAudio(
+            "the channels are ambisonic (B-format), sums of microphones that hold no delays: send "
+            "the microphones' own channels, A-format, with the microphones' positions"
+        )
+    if header.promised == 0 and header.held > 0 and not header.open_ended:
         raise EmptyAudio(
             "the WAV header says that there is no audio: the recorder did not finish the file; "
             "stop it properly, or convert the file again"
         )
+    return header
 
 
 def _check_size(source: BinaryIO, promised: int) -> None:
@@ -245,7 +285,7 @@ def _check_size(source: BinaryIO, promised: int) -> None:
 
 def _truncation(header: WavHeader) -> str:
     remedy = "send the whole file"
-    if header.promised >= PIPE_SIZES.start:
+    if header.promised >= LEAST_UNKNOWN:
         remedy = (
             "a recorder that writes into a pipe does not know the length; record into a file, or "
             "for a fixed duration"

@@ -40,6 +40,13 @@ STRETCH_SAMPLES = STRETCH_WINDOWS * 16 * 16_384
 bound memory, fewer longer windows or windows of more microphones are computed at a time"""
 
 
+LENGTH_UNKNOWN = AudioWarning(
+    "length_unknown",
+    "the header does not say how long the recording is, as of a recorder that writes into a pipe: "
+    "it was read to its end, which may not be the recording's",
+)
+
+
 def localize_recording(
     recording: Recording,
     options: LocalizeOptions,
@@ -99,6 +106,7 @@ def localize_recording(
         summary=summarise(results),
         warnings=[
             *assumed,
+            *([LENGTH_UNKNOWN] if recording.open_ended else []),
             *(AudioWarning(f.code, f.detail) for f in diagnostics.findings(array)),
             *method_warnings(options.method, method, array),
         ],

@@ -29,6 +29,7 @@ WarningCode = Literal[
     "front_back_ambiguous",
     "noise_mismatch",
     "calibration_failed",
+    "length_unknown",
 ]
 WhyNoSource = Literal["silence", "no_direction", "unconfirmed", "excluded", "warming_up"]
 

@@ -91,12 +91,12 @@ def test_a_device_is_recorded_with_its_own_channels_and_rate(
     def script(peer: Peer) -> None:
         peer.begin()
         heard.extend(peer.hear() for _ in range(5))
-        peer.say(result(1, 45.0), error("session_limit", 4410))
-        peer.close(4410)
+        peer.say(result(1, 45.0), error("unauthorized", 4401))
+        peer.close(4401)
 
     service = service_of(script)
     code, out, err = run(capsys, "--device", "ReSpeaker", "--array", ARRAY, "--url", service.url)
-    assert (code, err) == (2, "error: because of session_limit\n")
+    assert (code, err) == (2, "error: because of unauthorized\n")
     assert json.loads(out)["sources"][0]["azimuth_deg"] == 45.0
     start = service.peers[0].start
     assert start["audio"] == {
