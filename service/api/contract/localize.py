@@ -80,7 +80,7 @@ LOCALIZE_EXAMPLE: dict[str, Any] = {
         "name": "any-array",
         "version": "0.4.0",
         "variant": "weights",
-        "sha256": "a58b2253b70d5714fbc3faac16015d0d18a960b17937ba7f28d4fa3ca2b521ea",
+        "sha256": "a1cb2acba181fde611996c33c76531aeb84a13ade25c10a5cc155e3b6b8143e4",
     },
     "method": "neural",
     "audio": {"sample_rate": 16000, "channels": 4, "duration_s": 8.5},
