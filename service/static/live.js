@@ -13,7 +13,7 @@ const ENDED_SHOWN = 4;
 
 export class Live {
   #stream = null; // watched or sent
-  #followed = new Set(); // ids of the sessions that were opened because no other ran
+  #opened = new Set(); // ids of the sessions that were watched
   #replicas = new Set(); // that have answered
   #timer = 0;
   #visible = false;
@@ -63,6 +63,7 @@ export class Live {
   #watch(session) {
     if (session.id === this.#stream?.session && session.state === "running") return;
     this.#leave();
+    this.#opened.add(session.id);
     this.#stream = new Watch(session, this.view);
     this.#poll();
   }
@@ -77,9 +78,7 @@ export class Live {
   #follow(running) {
     const [only, ...others] = running;
     const free = !this.#stream || this.#stream.left;
-    if (!only || others.length || !free || this.#followed.has(only.id)) return;
-    this.#followed.add(only.id);
-    this.#watch(only);
+    if (only && !others.length && free && !this.#opened.has(only.id)) this.#watch(only);
   }
 
   async #poll() {
