@@ -26,7 +26,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     show = commands.add_parser(
         "show",
         help="list the bundles, or show one",
-        description="List the bundles that the service would load, best first, or show one of them.",
+        description="List the bundles that the service loads, best first, or show one of them.",
         allow_abbrev=False,
     )
     show.add_argument("bundle", nargs="?", metavar="NAME|FOLDER", help="the bundle to show")

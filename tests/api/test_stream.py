@@ -44,6 +44,24 @@ def test_a_handshake_without_the_subprotocol_is_a_problem_and_no_error_of_the_se
     assert headers["content-type"] == "application/problem+json"
 
 
+@pytest.mark.parametrize("path", ["/streams", "/stream/", "/localize", "/"])
+def test_a_websocket_at_a_wrong_path_is_a_problem_that_names_the_right_one(
+    service: RunningService, path: str
+) -> None:
+    status, problem, headers = refusal(service, path=path)
+    assert (status, problem["code"]) == (404, "not_found")
+    assert problem["detail"] == f"there is no WebSocket at {path}: streams are at /stream"
+    assert headers["content-type"] == "application/problem+json"
+
+
+def test_a_request_to_the_stream_s_path_is_told_that_it_is_a_websocket(
+    service: RunningService,
+) -> None:
+    answer = httpx2.get(f"{service.url}/stream")
+    assert (answer.status_code, answer.json()["code"]) == (404, "not_found")
+    assert "/stream is a WebSocket" in answer.json()["detail"]
+
+
 def test_a_page_from_elsewhere_is_refused_and_the_own_page_is_not(service: RunningService) -> None:
     status, problem, _ = refusal(service, origin="http://evil.example")
     assert (status, problem["code"]) == (403, "origin_refused")
