@@ -81,7 +81,7 @@ async def sessions(request: Request, replicas: Asked = "all") -> SessionsAnswer:
     responses={
         200: {
             "content": {"text/event-stream": {"schema": {"type": "string"}}},
-            "description": "Server-sent events: `ready`, `history` (the last minute), then every "
+            "description": "Server-sent events: `ready`, `history` (the last minute), past warnings, then every "
             "message of the stream as it is sent; results always with their spectrum",
         },
         **NOT_FOUND,
@@ -185,6 +185,8 @@ async def _events(entry: SessionEntry, allowed: Callable[[], bool]) -> AsyncIter
     if entry.ready is not None:
         yield _event("ready", message_json(entry.ready))
     yield _event("history", json.dumps({"points": _history(entry)}))
+    for warning in tuple(entry.warnings.values()):
+        yield _event("warning", message_json(warning))
     if not entry.running:
         return
     entry.watch(watch)

@@ -58,8 +58,9 @@ export class RecordingView {
     if (!this.#asked) return this.#dim(false);
     const { file, options } = this.setup;
     const same = this.#asked.options === JSON.stringify(options);
-    if (this.#asked.file === file && (same || this.#asked.answered)) this.#dim(!same);
-    else this.#clear();
+    if (this.#asked.file !== file || !(same || this.#asked.answered)) return this.#clear();
+    this.#dim(!same);
+    if (!same) say("");
   }
 
   #clear() {

@@ -296,6 +296,28 @@ def test_hundreds_who_connect_and_vanish_leave_nothing_behind(service: RunningSe
     assert threading.active_count() <= threads + 1
 
 
+def test_who_watches_late_is_told_what_was_warned_of(service: RunningService) -> None:
+    silent = np.frombuffer(SECOND, "<i2").reshape(-1, 4).copy()
+    silent[:, 2] = 0
+
+    async def run() -> tuple[dict[str, Any], dict[str, Any]]:
+        async with opened(service) as socket, httpx2.AsyncClient(base_url=service.url) as http:
+            ready = await started(socket, overflow="block")
+            for _ in range(3):
+                for begin in range(0, len(silent), 4000):
+                    await socket.send(silent[begin : begin + 4000].tobytes())
+            warned = await until(socket, "warning")
+            async with http.stream("GET", f"/sessions/{ready['session']}/events") as response:
+                lines = response.aiter_lines()
+                while await anext(lines) != "event: warning":
+                    pass
+                return warned, json.loads((await anext(lines)).removeprefix("data: "))
+
+    warned, told = asyncio.run(run())
+    assert (told["code"], told["channels"]) == ("channel_dead", [2])
+    assert told == warned
+
+
 def test_a_session_can_be_watched_listed_and_exported(service: RunningService) -> None:
     async def run() -> tuple[list[tuple[str, Any]], dict[str, Any], str, str]:
         async with opened(service) as socket, httpx2.AsyncClient(base_url=service.url) as http:
