@@ -81,8 +81,9 @@ async def sessions(request: Request, replicas: Asked = "all") -> SessionsAnswer:
     responses={
         200: {
             "content": {"text/event-stream": {"schema": {"type": "string"}}},
-            "description": "Server-sent events: `ready`, `history` (the last minute), past warnings, then every "
-            "message of the stream as it is sent; results always with their spectrum",
+            "description": "Server-sent events: `ready`, `history` (the last minute), past "
+            "warnings, then every message of the stream as it is sent; results always with their "
+            "spectrum",
         },
         **NOT_FOUND,
         **problem_responses(TooManyWatchers, Overloaded),

@@ -44,7 +44,7 @@ export class Live {
   }
 
   #listen() {
-    if (showWrong(byId("microphone"))) return;
+    if (showWrong(byId("microphone"))) return byId("spacing").reportValidity();
     const spacing = Number(byId("spacing").value) / 1000;
     this.#send((onEnd) => new Microphone(spacing, this.view, onEnd));
   }
