@@ -48,7 +48,7 @@ function listenToTabs() {
 
 async function begin() {
   try {
-    const asked = [signpost(), arrays(), models(), ready()];
+    const asked = [signpost(), arrays(), models(), check()];
     const [{ version }, presets, bundles] = await Promise.all(asked);
     recording.setup.offer(presets, bundles);
     tell(`ready · ${version}`, "live");
@@ -68,13 +68,19 @@ async function begin() {
 async function look() {
   if (document.hidden) return later(look, LOOK_MS);
   try {
-    await ready();
+    await check();
     later(look, LOOK_MS);
   } catch (problem) {
     tell(wordsFor(problem), "broken");
     later(begin, AGAIN_MS);
   }
 }
+
+/** A Problem where the service takes no work; a proxy may hide the path that says so. */
+const check = () =>
+  ready().catch((problem) => {
+    if (problem.status !== 404) throw problem;
+  });
 
 /** A service that was not reached, or that refuses work for now. */
 const wordsFor = ({ status }) => (status ? "not ready" : "no answer");

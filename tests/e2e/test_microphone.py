@@ -69,7 +69,9 @@ def test_the_direction_of_a_sound_before_the_microphone_is_told(
         arg=AZIMUTH_DEG,
     )
     api.expect(page.locator("#live-serious strong")).to_have_text("Front and back look alike")
-    api.expect(page.locator("#sessions strong")).to_have_text("browser-microphone")
+    api.expect(page.locator("#sessions [aria-pressed=true] strong")).to_have_text(
+        "browser-microphone"
+    )
     page.click("#live-stop")
     api.expect(page.locator("#live-state")).to_contain_text("The session has ended after")
     api.expect(page.locator("#live-stop")).to_be_hidden()
