@@ -28,7 +28,7 @@ function warning({ code, detail, count = 1 }) {
 
 function entry({ azimuth, elevation = null, confidence, slot, id, active = true }) {
   const known = (id ?? null) !== null;
-  const where = [inWords(azimuth), height(elevation), active ? "" : "pausing"];
+  const where = inWords(azimuth, elevation) + (active ? "" : ", pausing");
   return element(
     "li",
     { "data-slot": slot, "data-azimuth": azimuth, "data-id": known ? id : null, class: active ? "" : "coasting" },
@@ -36,16 +36,10 @@ function entry({ azimuth, elevation = null, confidence, slot, id, active = true 
     element(
       "span",
       { class: "where" },
-      element("span", { text: where.filter(Boolean).join(", ") }),
+      element("span", { text: where }),
       ...(known ? [element("span", { class: "id", text: `#${id}` })] : []),
     ),
     element("span", { class: "sure", text: `${percent(confidence)} sure` }),
     element("meter", { min: 0, max: 1, value: confidence, "aria-hidden": "true" }),
   );
-}
-
-/** An elevation in words; nothing where it is level or not known. */
-function height(elevation) {
-  const degrees = Math.round(elevation ?? 0);
-  return degrees && `${Math.abs(degrees)}° ${degrees > 0 ? "up" : "down"}`;
 }

@@ -151,7 +151,7 @@ export class Results {
         "tr",
         { "data-slot": this.colours.ofSummary(source) },
         element("td", { class: "azimuth", text: label(source.azimuth_deg) }),
-        element("td", { text: inWords(source.azimuth_deg) }),
+        element("td", { text: inWords(source.azimuth_deg, source.elevation_deg) }),
         element("td", { text: percent(source.confidence) }),
         element("td", { text: `${Math.round(source.share * 100)} %` }),
       ),

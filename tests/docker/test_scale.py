@@ -165,12 +165,8 @@ def test_whichever_replica_is_asked_shows_the_streams_of_all(three: ComposeProje
 
     async def run() -> None:
         async with asyncio.timeout(PATIENCE_S), AsyncExitStack() as held:
-            known = {
-                ready.session
-                for ready in [
-                    await anext(await held.enter_async_context(robot(url))) for _ in "123"
-                ]
-            }
+            streams = [await held.enter_async_context(robot(url)) for _ in range(3)]
+            known = {(await anext(aiter(stream))).session for stream in streams}
             async with httpx2.AsyncClient(base_url=url) as http:
                 for _ in range(6):  # the proxy sends them to different replicas
                     answer = (await http.get("/sessions")).json()
