@@ -57,7 +57,7 @@ class DocumentedApp(FastAPI):
     def build_middleware_stack(self) -> ASGIApp:
         """Starlette's stack, watched from outside its answer to unexpected errors."""
         paths = [route.path for part in PARTS for route in part.router.routes]
-        documents = [path for path in (self.openapi_url, self.docs_url) if path]
+        documents = [self.openapi_url] if self.openapi_url else []
         stack = super().build_middleware_stack()
         return RequestWatch(stack, self.state.service.metrics, [*documents, *paths])
 
@@ -99,6 +99,7 @@ def create_app(settings: Settings | None = None, registry: BundleRegistry | None
         openapi_tags=TAGS,
         lifespan=lifespan,
         telemetry=state.traces.telemetry,
+        docs_url=None,  # it would load Swagger UI from elsewhere: service.api.page has it
         redoc_url=None,
         generate_unique_id_function=_operation_id,
     )

@@ -45,6 +45,7 @@ RENAMED = {
 LogLevel = Literal["critical", "error", "warning", "info", "debug"]
 IPNetwork = ipaddress.IPv4Network | ipaddress.IPv6Network
 LogFormat = Literal["text", "json"]
+Peer = tuple[str, int]
 
 
 class Settings(BaseSettings):
@@ -101,6 +102,9 @@ class Settings(BaseSettings):
     """Most connections of one address (IPv6: a /64), at most half of all; proxies may have all"""
     proxies: Annotated[tuple[IPNetwork, ...], NoDecode] = ()
     """Addresses or networks of proxies whose X-Forwarded-For is believed, by commas; * for all"""
+    peers: Annotated[tuple[Peer, ...], NoDecode] = ()
+    """HOST:PORT of the service's replicas, by commas; a name stands for every address it has.
+    /sessions then covers them all"""
     stream_buffer_s: float = Field(0.5, ge=0.05, le=60)
     """Most seconds of a stream's audio that wait; older audio is dropped"""
     idle_timeout_s: float = Field(30.0, gt=0, le=86_400)
@@ -148,6 +152,16 @@ class Settings(BaseSettings):
             return value
         listed = value.replace("*", "0.0.0.0/0, ::/0").split(",")
         return tuple(ipaddress.ip_network(each.strip()) for each in listed if each.strip())
+
+    @field_validator("peers", mode="before")
+    @classmethod
+    def _read_peers(cls, value: object) -> object:
+        if not isinstance(value, str):
+            return value
+        listed = [each.strip().rpartition(":") for each in value.split(",") if each.strip()]
+        if not all(host and port.isdecimal() and 0 < int(port) < 2**16 for host, _, port in listed):
+            raise ValueError("must be HOST:PORT, several by commas")
+        return tuple((host.strip("[]"), int(port)) for host, _, port in listed)
 
     @field_validator("traces")
     @classmethod

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +22,13 @@ from model_export.training.regression import RegressionTask
 from model_export.training.weights_task import WeightsTask
 from service.doa.types import FloatArray
 from service.inference.bundle import MANIFEST, load_bundle, read_manifest
-from service.inference.manifest import Manifest
+from service.inference.manifest import Manifest, Purpose
 
 DESCRIPTIONS = {
     "weights": "Time-frequency weights from array-independent features: works on any array.",
-    "regression": "The paper's networks: covariances from magnitudes and phases, for one array.",
+    "regression": "The paper's networks for one array, to compare with: any-array is better there.",
 }
+PURPOSES: Mapping[str, Purpose] = {"weights": "localization", "regression": "comparison"}
 
 
 def export_run(
@@ -70,6 +71,7 @@ def export_run(
         "name": name or config.name,
         "version": version,
         "description": DESCRIPTIONS[config.variant],
+        "purpose": PURPOSES[config.variant],
         "training": training,
         "scores": {},
         "licences": list(licences),

@@ -30,7 +30,7 @@ NOT_FOUND: dict[int | str, dict[str, Any]] = {
 
 @router.get("/models", summary="List the models", responses=problem_responses(NotReady))
 async def models(request: Request) -> ModelsAnswer:
-    """The loaded model bundles with their hashes and scores."""
+    """The loaded model bundles with what they are for, their hashes and scores, the best first."""
     return ModelsAnswer.of(state_of(request).models().bundles)
 
 

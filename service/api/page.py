@@ -1,4 +1,4 @@
-"""The web page at the root, its files, and the links that programs get there instead.
+"""The web page at the root, the API's page, their files, and the links that programs get instead.
 
 The files are read once, so no path of a request ever reaches the file system.
 """
@@ -33,6 +33,12 @@ HEADERS = {
     "Content-Security-Policy": "default-src 'self'; connect-src 'self' ws: wss:; "
     "object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'self'",
 }
+DOCS_HEADERS = {
+    # Swagger UI's style sheet has its pictures in itself.
+    "Content-Security-Policy": HEADERS["Content-Security-Policy"] + "; img-src 'self' data:",
+}
+SWAGGER_UI = ("swagger-ui.css", "swagger-ui-bundle.js")
+"""Files of Swagger UI, which ``fastapi_offline`` carries"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +64,9 @@ class RootAnswer(Answer):
 def page_files() -> dict[str, PageFile]:
     """The page's files by their names."""
     found = {}
-    for file in files("service").joinpath("static").iterdir():
+    swagger_ui = files("fastapi_offline").joinpath("static")
+    own = files("service").joinpath("static").iterdir()
+    for file in (*own, *(swagger_ui.joinpath(name) for name in SWAGGER_UI)):
         media_type = MEDIA_TYPES.get(f".{file.name.rpartition('.')[2]}")
         if media_type:
             content = file.read_bytes()
@@ -102,6 +110,15 @@ async def root(request: Request) -> Response:
     else:
         response = Response(_signpost().model_dump_json(), media_type="application/json")
     response.headers["Vary"] = "Accept"
+    return response
+
+
+@router.get("/docs", include_in_schema=False)
+@router.head("/docs", include_in_schema=False)
+async def docs(request: Request) -> Response:
+    """Swagger UI with the OpenAPI document; it works without the internet."""
+    response = _file_response(request, page_files()["docs.html"])
+    response.headers.update(DOCS_HEADERS)
     return response
 
 

@@ -103,6 +103,7 @@ def install_problem_handlers(app: FastAPI) -> None:
     app.add_exception_handler(RequestValidationError, _on_validation_error)
     app.add_exception_handler(ClientDisconnect, _on_disconnect)
     app.add_exception_handler(Exception, _on_unexpected)
+    app.router.default = _on_no_route
 
 
 async def _on_doa_error(request: Request, error: Exception) -> Response:
@@ -110,6 +111,15 @@ async def _on_doa_error(request: Request, error: Exception) -> Response:
     if error.status >= HTTPStatus.INTERNAL_SERVER_ERROR and not error.retryable:
         log.error("%s: %s", error.code, error.detail, exc_info=error)
     return problem_response(error)
+
+
+async def _on_no_route(scope: Scope, receive: Receive, send: Send) -> None:
+    """Answer a path without a route; Starlette refuses a WebSocket there without a word."""
+    if scope["type"] == "http":
+        raise HTTPException(HTTPStatus.NOT_FOUND)
+    detail = f"there is no WebSocket at {scope['path'][:80]}: streams are at /stream"
+    response = ProblemResponse("not_found", HTTPStatus.NOT_FOUND, "Not found", detail, None)
+    await response(scope, receive, send)
 
 
 async def _on_http_exception(request: Request, error: Exception) -> Response:
@@ -120,12 +130,19 @@ async def _on_http_exception(request: Request, error: Exception) -> Response:
     if status == HTTPStatus.NOT_FOUND:
         code, title = "not_found", "Not found"
         detail = f"there is nothing at {path[:80]}: GET / lists what there is"
+        if _is_websocket(request):
+            detail = f"{path[:80]} is a WebSocket: connect to it with ws:// or wss://"
     elif status == HTTPStatus.METHOD_NOT_ALLOWED:
         code, title = "method_not_allowed", "Method not allowed"
         allowed = ", ".join(_allowed(request))
         detail = f"{path[:80]} takes {allowed}, not {request.method}"
         return ProblemResponse(code, status, title, detail, {"Allow": allowed})
     return ProblemResponse(code, status, title, detail, error.headers)
+
+
+def _is_websocket(request: Request) -> bool:
+    scope = {**request.scope, "type": "websocket"}
+    return any(route.matches(scope)[0] is Match.FULL for route in request.app.router.routes)
 
 
 def _allowed(request: Request) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Any, Literal, Self
 from neuralmusic.arrays import RAW_CHANNELS
 from service.doa.array import MicrophoneArray
 from service.inference.bundle import Bundle
+from service.inference.manifest import Purpose
 from service.recordings.answers import Answer, ModelAnswer, Position
 
 
@@ -23,6 +24,8 @@ class BundleAnswer(ModelAnswer):
     """A loaded model bundle."""
 
     description: str
+    purpose: Purpose
+    """`localization`, or `comparison` for a model that another one surpasses wherever it fits"""
     array: Literal["any"] | BoundArrayAnswer
     """The array that the model is bound to, or `any`"""
     sample_rate: int
@@ -44,7 +47,7 @@ class BundleAnswer(ModelAnswer):
         bound = bundle.bound_array()
         return cls(
             **manifest.model_dump(
-                include={"name", "version", "variant", "description", "max_sources"}
+                include={"name", "version", "variant", "description", "purpose", "max_sources"}
             ),
             sha256=bundle.sha256,
             array="any"
@@ -101,6 +104,7 @@ class ModelsAnswer(Answer):
     """The loaded models."""
 
     models: list[BundleAnswer]
+    """Models, the best first; those of the purpose `comparison` come last"""
 
     @classmethod
     def of(cls, bundles: Sequence[Bundle]) -> Self:

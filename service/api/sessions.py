@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 from collections.abc import AsyncIterator, Callable
 from contextlib import ExitStack
 from http import HTTPStatus
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import anyio.to_thread
 from fastapi import APIRouter, HTTPException, Query, Request
+from pydantic import ValidationError
 from starlette.responses import Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from neuralmusic.errors import InvalidOption, Overloaded, TooManyWatchers
 from neuralmusic.protocol.message import message_type
-from neuralmusic.protocol.methods import Method
 from neuralmusic.protocol.server_messages import Closing, ServerMessage, StreamError
 from service.api.catalog import NOT_FOUND
 from service.api.middleware.guard import key_of
 from service.api.outbox import message_json
 from service.api.problems import problem_responses
+from service.api.replicas import ALONE, Reply
+from service.api.session_answers import SessionsAnswer
 from service.api.state import state_of
-from service.recordings.answers import Answer
+from service.lifecycle import Phase
 from service.streaming.export import FORMATS, export_csv, export_json_lines
 from service.streaming.registry import SessionEntry
 
@@ -34,67 +37,22 @@ MAX_EVENTS = 64
 HISTORY_S = 60.0
 """Seconds of results that a new watcher gets"""
 
+SESSION_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
+PASSED_ON = ("content-type", "content-disposition", "cache-control", "retry-after")
+"""Headers of another replica's answer that go on to the client"""
+Asked = Annotated[
+    Literal["all", "one"],
+    Query(description="`one` asks only the replica that answers, `all` also those it knows"),
+]
+
 router = APIRouter(tags=["streams"])
 
 
-class SessionAnswer(Answer):
-    """One stream."""
+class HoldingResponse(StreamingResponse):
+    """A long answer that holds a watcher's place until it ends."""
 
-    id: str
-    client: str | None
-    """Name that the client gave itself"""
-    array: str | None
-    """Name of the array; null until `start` was received"""
-    model: str | None
-    method: Method | None
-    started_at: str
-    """Time at which the stream began: ISO 8601, UTC"""
-    audio_s: float
-    """Seconds of audio received"""
-    results: int
-    lag_ms: float
-    """Milliseconds from audio to result, of the last result"""
-    dropped_s: float
-    """Seconds of audio dropped so that results describe the present"""
-    num_sources: int
-    """Number of sources in the last result"""
-    state: Literal["running", "ended"]
-
-    @classmethod
-    def of(cls, entry: SessionEntry) -> SessionAnswer:
-        ready, account = entry.ready, entry.reporter.account
-        last = account.history.last
-        return cls(
-            id=entry.id,
-            client=entry.client,
-            array=ready.array.name if ready else None,
-            model=ready.model.name if ready and ready.model else None,
-            method=ready.method if ready else None,
-            started_at=entry.started_at.isoformat(timespec="milliseconds"),
-            audio_s=round(account.audio_s, 3),
-            results=account.results,
-            lag_ms=account.lag_ms,
-            dropped_s=round(account.dropped_s, 3),
-            num_sources=len(last.points) if last else 0,
-            state="running" if entry.running else "ended",
-        )
-
-
-class SessionsAnswer(Answer):
-    """The streams of this process."""
-
-    sessions: list[SessionAnswer]
-    """Running streams first, then the last that ended"""
-    max_sessions: int
-    """Most streams that may run at the same time"""
-
-
-class EventStream(StreamingResponse):
-    """Server-sent events, which hold a watcher's place until they end."""
-
-    def __init__(self, events: AsyncIterator[str], place: ExitStack) -> None:
-        headers = {"Cache-Control": "no-store"}
-        super().__init__(events, media_type="text/event-stream", headers=headers)
+    def __init__(self, content: AsyncIterator[str | bytes], place: ExitStack, **how: Any) -> None:
+        super().__init__(content, **how)
         self._place = place
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -103,12 +61,17 @@ class EventStream(StreamingResponse):
 
 
 @router.get("/sessions", summary="List the streams")
-async def sessions(request: Request) -> SessionsAnswer:
-    """Running streams, and ended ones whose results can still be exported."""
-    streams = state_of(request).streams
-    return SessionsAnswer(
-        sessions=[SessionAnswer.of(entry) for entry in streams], max_sessions=streams.max_sessions
-    )
+async def sessions(request: Request, replicas: Asked = "all") -> SessionsAnswer:
+    """Running streams, and ended ones whose results can still be exported.
+
+    Where the service has several replicas and knows them, the streams of all.
+    """
+    state = state_of(request)
+    own = SessionsAnswer.of(state)
+    if replicas == "one" or not state.replicas.known:
+        return own
+    replies = await state.replicas.ask(request, f"/sessions?{ALONE}")
+    return own.with_others([await _listed(reply) for reply in replies])
 
 
 @router.get(
@@ -118,22 +81,30 @@ async def sessions(request: Request) -> SessionsAnswer:
     responses={
         200: {
             "content": {"text/event-stream": {"schema": {"type": "string"}}},
-            "description": "Server-sent events: `ready`, `history` (the last minute), then every "
-            "message of the stream as it is sent; results always with their spectrum",
+            "description": "Server-sent events: `ready`, `history` (the last minute), past "
+            "warnings, then every message of the stream as it is sent; results always with their "
+            "spectrum",
         },
         **NOT_FOUND,
         **problem_responses(TooManyWatchers, Overloaded),
     },
 )
-async def session_events(request: Request, session_id: str) -> StreamingResponse:
+async def session_events(
+    request: Request, session_id: str, replicas: Asked = "all"
+) -> StreamingResponse:
     """Every message that a running stream sends to its client, for dashboards."""
-    entry = _entry(request, session_id)
     state, key = state_of(request), key_of(request)
+    entry = state.streams.get(session_id)
+    if entry is None:
+        return await _elsewhere(request, session_id, "events?", replicas)
     with ExitStack() as held:
         held.enter_context(state.streams.watcher())
         held.enter_context(state.keys.watcher(key))
         events = _events(entry, lambda: state.keys.holds(key, "watch"))
-        return EventStream(events, held.pop_all())
+        headers = {"Cache-Control": "no-store"}
+        return HoldingResponse(
+            events, held.pop_all(), media_type="text/event-stream", headers=headers
+        )
 
 
 @router.get(
@@ -156,9 +127,12 @@ async def session_export(
     request: Request,
     session_id: str,
     format: Annotated[Literal["jsonl", "csv"], Query(description="JSON Lines or CSV")] = "jsonl",
+    replicas: Asked = "all",
 ) -> Response:
     """One line per result (JSON Lines) or per source of a result (CSV)."""
-    entry = _entry(request, session_id)
+    entry = state_of(request).streams.get(session_id)
+    if entry is None:
+        return await _elsewhere(request, session_id, f"export?format={format}&", replicas)
     write = export_csv if format == "csv" else export_json_lines
     name = f"session-{entry.id}.{format}"
     headers = {"Content-Disposition": f'attachment; filename="{name}"'}
@@ -167,11 +141,37 @@ async def session_export(
     return Response(content, media_type=FORMATS[format], headers=headers)
 
 
-def _entry(request: Request, session_id: str) -> SessionEntry:
-    entry = state_of(request).streams.get(session_id)
-    if entry is None:
+async def _listed(reply: Reply | None) -> SessionsAnswer | None:
+    """A replica's own streams; None where it did not answer with them."""
+    if reply is None:
+        return None
+    try:
+        return SessionsAnswer.model_validate_json(await reply.whole())
+    except (OSError, TimeoutError, ValidationError):
+        return None
+    finally:
+        reply.close()
+
+
+async def _elsewhere(
+    request: Request, session_id: str, what: str, asked: Literal["all", "one"]
+) -> HoldingResponse:
+    """What the replica that has the session answers, as it comes."""
+    state = state_of(request)
+    if asked == "one" or not state.replicas.known or not SESSION_ID.fullmatch(session_id):
         raise HTTPException(HTTPStatus.NOT_FOUND)
-    return entry
+    with ExitStack() as held:
+        held.enter_context(state.streams.watcher())
+        reply = await state.replicas.find(request, f"/sessions/{session_id}/{what}{ALONE}")
+        if reply is None:
+            raise HTTPException(HTTPStatus.NOT_FOUND)
+        held.callback(reply.close)
+        return HoldingResponse(
+            reply.pieces(lambda: not state.lifecycle.reached(Phase.DRAINING)),
+            held.pop_all(),
+            status_code=reply.status,
+            headers={name: reply.headers[name] for name in PASSED_ON if name in reply.headers},
+        )
 
 
 async def _events(entry: SessionEntry, allowed: Callable[[], bool]) -> AsyncIterator[str]:
@@ -186,6 +186,8 @@ async def _events(entry: SessionEntry, allowed: Callable[[], bool]) -> AsyncIter
     if entry.ready is not None:
         yield _event("ready", message_json(entry.ready))
     yield _event("history", json.dumps({"points": _history(entry)}))
+    for warning in tuple(entry.warnings.values()):
+        yield _event("warning", message_json(warning))
     if not entry.running:
         return
     entry.watch(watch)

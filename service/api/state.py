@@ -15,6 +15,7 @@ from fastapi import Request
 from neuralmusic.errors import DoaError, NotReady, ReloadRefused
 from service.access.keys import Keys
 from service.api.reloads import Reloads, within
+from service.api.replicas import Replicas
 from service.api.spool import Spool
 from service.audio.recording import AudioLimits
 from service.inference.noise_store import NoiseStore
@@ -63,6 +64,8 @@ class ServiceState:
     """The uploads under way"""
     keys: Keys = field(default_factory=Keys)
     """API keys; they decide who may do what"""
+    replicas: Replicas = field(default_factory=Replicas)
+    """The processes that serve behind the same address"""
     _key_reloads: Reloads[None] = field(init=False)
     _model_reloads: Reloads[BundleRegistry] = field(init=False)
     _tending: asyncio.Task[None] | None = None
@@ -88,6 +91,7 @@ class ServiceState:
             metrics=metrics,
             traces=Traces(settings.traces),
             keys=Keys(settings.keys),
+            replicas=Replicas(settings.peers),
         )
 
     def gauges(self) -> Gauges:

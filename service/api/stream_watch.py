@@ -14,6 +14,7 @@ from neuralmusic.protocol.server_messages import (
     Ready,
     ServerMessage,
     StreamError,
+    StreamWarning,
 )
 from service.observability.metrics import Metrics
 from service.streaming.account import Account
@@ -60,6 +61,8 @@ class StreamWatch:
                 "localization": message.method,
             }
             self._log("stream began", fields)
+        elif isinstance(message, StreamWarning):
+            self._metrics.warned(message.code)
         elif isinstance(message, Closing):
             self._reason = message.code
         elif isinstance(message, StreamError):

@@ -26,7 +26,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     show = commands.add_parser(
         "show",
         help="list the bundles, or show one",
-        description="List the bundles that the service would load, or show one of them.",
+        description="List the bundles that the service loads, best first, or show one of them.",
         allow_abbrev=False,
     )
     show.add_argument("bundle", nargs="?", metavar="NAME|FOLDER", help="the bundle to show")
@@ -51,12 +51,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _folders() -> list[Path]:
-    """The bundles that the service would load, the user's first."""
-    from service.inference.registry import user_and_embedded
+    """The bundles that the service would load, in its order."""
+    from service.inference.registry import ordered_folders
     from service.settings import load_settings
 
-    found, embedded = user_and_embedded(load_settings().models)
-    return [*found, *embedded]
+    return ordered_folders(load_settings().models)
 
 
 def _find(argument: str) -> Path:
@@ -83,12 +82,12 @@ def _print_all(console: Console, manifests: list[Manifest]) -> None:
     if not manifests:
         line(console, "there are no bundles")
         return
-    drawn = table(console, "name", "version", "variant", "array", "description")
+    drawn = table(console, "name", "version", "for", "array", "description")
     for manifest in manifests:
         drawn.add_row(
             manifest.name,
             manifest.version,
-            manifest.variant,
+            manifest.purpose,
             _array(manifest),
             manifest.description,
         )
@@ -101,6 +100,7 @@ def _print_one(console: Console, folder: Path, manifest: Manifest, digest: str) 
     drawn = table(console, "", "")
     drawn.show_header = False
     stft = manifest.stft
+    drawn.add_row("for", manifest.purpose)
     drawn.add_row("variant", manifest.variant)
     drawn.add_row("array", _array(manifest))
     drawn.add_row("audio", f"{stft.sample_rate} Hz, STFT {stft.n_fft}/{stft.hop}")

@@ -13,6 +13,7 @@ from service.inference.results import MAX_SOURCES
 
 SCHEMA_VERSION: Literal[2] = 2
 Variant = Literal["weights", "regression"]
+Purpose = Literal["localization", "comparison"]
 NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]{0,63}$"
 FILE_PATTERN = r"^[A-Za-z0-9_][A-Za-z0-9._-]{0,63}$"
 """Names of files beside the manifest; none leads out of the folder"""
@@ -86,6 +87,8 @@ class Manifest(_Section):
     variant: Variant
     """`weights` gives time-frequency weights, for any array; `regression` matrices, for one"""
     description: Line
+    purpose: Purpose = "localization"
+    """`comparison` for a model that another one surpasses wherever it fits"""
     array: Literal["any"] | BoundArray
     stft: StftSection
     grid_size: Annotated[int, Field(ge=4, le=MAX_ANGLES)]

@@ -50,8 +50,7 @@ class BundleRegistry:
     ) -> BundleRegistry:
         """Load and self-test user bundles and the embedded ones.
 
-        A user bundle hides an embedded one of the same name. User bundles come first, in the given
-        order; embedded ones follow by their error on the scenes of ``docs/results.md``.
+        They are in the order of ``ordered_folders``.
 
         Parameters
         ----------
@@ -69,9 +68,7 @@ class BundleRegistry:
         UnknownModel
             If no bundle has the default's name.
         """
-        found, embedded = user_and_embedded(folders)
-        bundles = [load_bundle(folder, threads=threads) for folder in found]
-        bundles += by_error([load_bundle(folder, threads=threads) for folder in embedded])
+        bundles = [load_bundle(folder, threads=threads) for folder in ordered_folders(folders)]
         for bundle in bundles:
             _check(bundle)
         registry = cls(bundles)
@@ -123,27 +120,34 @@ class BundleRegistry:
         return bundle
 
 
-def by_error(bundles: Sequence[Bundle]) -> list[Bundle]:
-    """Bundles by their mean error in the cells that all were scored on, least first."""
-    cells = [bundle.manifest.scores.get("cells", {}) for bundle in bundles]
+def by_error(manifests: Sequence[Manifest]) -> list[Manifest]:
+    """Manifests by their mean error in the cells that all were scored on, least first."""
+    cells = [manifest.scores.get("cells", {}) for manifest in manifests]
     shared = set[str]().union(*cells).intersection(*cells)
     errors = [sum(scored[cell].get("maae_deg", 0.0) for cell in shared) for scored in cells]
-    order = sorted(range(len(bundles)), key=lambda index: errors[index])
-    return [bundles[index] for index in order]
+    order = sorted(range(len(manifests)), key=lambda index: errors[index])
+    return [manifests[index] for index in order]
 
 
-def user_and_embedded(folders: Sequence[Path]) -> tuple[list[Path], list[Path]]:
-    """The folders of the user's bundles, and of the embedded ones that these do not hide.
+def ordered_folders(folders: Sequence[Path]) -> list[Path]:
+    """The folders of all bundles, the best for use first.
+
+    The user's come first, in the given order. Embedded ones follow by their error on the scenes of
+    ``docs/results.md``, without those whose name a user's bundle has. Bundles of the purpose
+    ``comparison`` come last.
 
     Raises
     ------
     BundleError
         If one of the places does not exist, or a manifest cannot be read.
     """
-    found = [path for folder in folders for path in bundle_folders(folder)]
-    taken = {read_manifest(path)[0].name for path in found}
-    embedded = bundle_folders(EMBEDDED_MODELS)
-    return found, [path for path in embedded if read_manifest(path)[0].name not in taken]
+    found = [(read_manifest(each)[0], each) for path in folders for each in bundle_folders(path)]
+    taken = {manifest.name for manifest, _ in found}
+    places = {path: read_manifest(path)[0] for path in bundle_folders(EMBEDDED_MODELS)}
+    embedded = {m.name: path for path, m in places.items() if m.name not in taken}
+    found += [(m, embedded[m.name]) for m in by_error(list(places.values())) if m.name in embedded]
+    found.sort(key=lambda each: each[0].purpose == "comparison")
+    return [path for _, path in found]
 
 
 def bundle_folders(folder: Path) -> list[Path]:

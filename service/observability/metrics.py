@@ -21,6 +21,7 @@ from prometheus_client.exposition import choose_encoder
 from prometheus_client.registry import Collector
 
 from neuralmusic.errors import DoaError
+from neuralmusic.protocol.server_messages import WarningCode
 from service.inference.results import ModelIdentity
 
 Kind = Literal["stream", "recording"]
@@ -34,6 +35,8 @@ ORDERLY_ENDS = ("done", "draining", "vanished")
 """Reasons of sessions that ended without an error; other sessions have the error's code"""
 UNTREED_CODES = ("not_found", "method_not_allowed")
 """Codes of problems that are not a ``DoaError``"""
+
+WARNINGS: tuple[str, ...] = get_args(WarningCode)
 
 LATENCY_S = (0.005, 0.01, 0.02, 0.03, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.5, 0.75, 1.0, 2.0, 5.0)
 WORK_S = (
@@ -103,6 +106,7 @@ class Metrics:
             "batch_windows", "Windows of a recording computed at a time.", BATCH_WINDOWS
         )
         self._errors = counter("errors_total", "Problems and stream errors, by code.", "code")
+        self._warnings = counter("stream_warnings_total", "Warnings of streams, by code.", "code")
         self._requests = counter(
             "requests_total", "Requests and handshakes answered.", "method", "path", "status"
         )
@@ -124,6 +128,8 @@ class Metrics:
         self._codes = frozenset({*error_codes(), *UNTREED_CODES})
         for code in self._codes:
             self._errors.labels(code)
+        for warning in WARNINGS:
+            self._warnings.labels(warning)
         for reason in ORDERLY_ENDS:
             self._ended.labels(reason)
 
@@ -159,6 +165,10 @@ class Metrics:
     def refused(self, code: str) -> None:
         """Count a problem or an error by its code."""
         self._errors.labels(code if code in self._codes else OTHER).inc()
+
+    def warned(self, code: str) -> None:
+        """Count a stream's warning by its code."""
+        self._warnings.labels(code if code in WARNINGS else OTHER).inc()
 
     def requested(self, method: str, path: str, status: int, seconds: float | None) -> None:
         """Count a request.

@@ -89,7 +89,8 @@ OPTIONS: Mapping[str, Option] = {
     "model": Option(
         str,
         {"type": "string"},
-        "A model's name (`GET /models` lists them). The default is the first that fits the array.",
+        "A model's name (`GET /models` lists them, the best first). The default is the first that "
+        "fits the array.",
     ),
     "method": Option(
         str,

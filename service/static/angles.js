@@ -11,8 +11,12 @@ export const wrapped = (degrees) => ((degrees % 360) + 360) % 360;
 /** The signed difference a - b in [-180, 180). */
 export const difference = (a, b) => wrapped(a - b + 180) - 180;
 
-/** Where something lies, in words. */
-export const inWords = (degrees) => SECTORS[Math.round(wrapped(degrees) / 45) % 8];
+/** Where something lies, in words; its elevation where that is known and not level. */
+export function inWords(azimuth, elevation = null) {
+  const sector = SECTORS[Math.round(wrapped(azimuth) / 45) % 8];
+  const height = Math.round(elevation ?? 0);
+  return height ? `${sector}, ${Math.abs(height)}° ${height > 0 ? "up" : "down"}` : sector;
+}
 
 /** A rounded azimuth with its sign: 359.7 is 0°, not 360°. */
 export const label = (degrees) => `${Math.round(degrees) % 360}°`;

@@ -25,6 +25,7 @@ export const arrays = async () => (await getJson("arrays")).arrays;
 export const models = async () => (await getJson("models")).models;
 export const sessions = () => getJson("sessions");
 export const signpost = () => getJson("./");
+export const ready = () => getJson("readyz");
 
 /** Post a recording with its options; the answer and its text. */
 export async function localize(file, options, signal) {
@@ -63,6 +64,9 @@ export async function save(path) {
   URL.revokeObjectURL(link.href);
 }
 
+/** Name of the event that the service was not reached. */
+export const UNREACHED = "service-unreached";
+
 /** Fetch with the key; an answer that is no success is thrown as a Problem. */
 export async function ask(path, request) {
   let response;
@@ -71,6 +75,7 @@ export async function ask(path, request) {
     response = await fetch(path, { ...request, headers });
   } catch (error) {
     if (error.name === "AbortError") throw error;
+    dispatchEvent(new Event(UNREACHED));
     throw new Problem(UNREACHABLE);
   }
   if (response.ok) return response;

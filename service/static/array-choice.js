@@ -1,7 +1,7 @@
 // The microphone array: a preset or positions of one's own, and which channel is which microphone.
 
 import { arrayPlot } from "./array-plot.js";
-import { byId, element, showFacts } from "./dom.js";
+import { byId, element, mark, showFacts } from "./dom.js";
 import { GeometryEditor } from "./geometry-editor.js";
 import { facts, hints } from "./geometry.js";
 import { counted } from "./words.js";
@@ -33,11 +33,14 @@ export class ArrayChoice {
 
   /** Offer these presets; the last choice of this browser is made again. */
   offer(presets) {
+    const map = this.channelMap; // of a page that waited for the service to come back
     this.#presets = presets;
     const kept = recall();
     this.#custom = kept?.positions ?? presets[0].positions_m;
     this.#fill(kept?.name ?? DEFAULT);
     this.#chosen();
+    if (map) this.map.value = map;
+    this.#note();
   }
 
   /** The recording has so many channels; null where this is not known. */
@@ -95,7 +98,7 @@ export class ArrayChoice {
   #chosen() {
     byId("editor").hidden = !this.isCustom;
     byId("edit-array").hidden = this.isCustom;
-    if (this.isCustom) this.editor.begin(this.#custom);
+    this.editor.begin(this.isCustom ? this.#custom : []);
     byId("array-origin").hidden = this.isCustom;
     byId("array-source").textContent = this.#preset?.source ?? "";
     this.#propose();
@@ -127,8 +130,25 @@ export class ArrayChoice {
   }
 
   #note() {
-    byId("channel-note").textContent = this.#sentence();
+    const wrong = this.#wrongMap();
+    mark(this.map, wrong);
+    byId("channel-note").textContent = wrong || this.#sentence();
     this.onChange();
+  }
+
+  /** What is wrong with the channel map, or nothing. */
+  #wrongMap() {
+    const [map, channels, count] = [this.channelMap, this.#channels, this.positions.length];
+    if (!map) return "";
+    if (!/^\[?\s*\d+(\s*,\s*\d+)*\s*\]?$/.test(map)) {
+      return "Write the channel of every microphone, counted from 0, with commas: 0,1,2.";
+    }
+    const chosen = map.match(/\d+/g).map(Number);
+    if (count && chosen.length !== count) {
+      return `The map has ${counted(chosen.length, "channel")}, the array ${counted(count, "microphone")}.`;
+    }
+    const beyond = channels && chosen.find((channel) => channel >= channels);
+    return beyond ? `There is no channel ${beyond}: the recording has 0 to ${channels - 1}.` : "";
   }
 
   #sentence() {

@@ -23,7 +23,7 @@ const ENCODINGS = {
 export async function readHeader(file) {
   const view = new DataView(await file.slice(0, HEAD_BYTES).arrayBuffer());
   const magic = text(view, 0, 4);
-  if ((magic === "RIFF" || magic === "RF64") && text(view, 8, 4) === "WAVE") {
+  if (["RIFF", "RF64", "BW64"].includes(magic) && text(view, 8, 4) === "WAVE") {
     return readWav(view, file.size) ?? { kind: null };
   }
   if (magic === "fLaC") return readFlac(view) ?? { kind: null };

@@ -16,6 +16,28 @@ export function shape(tag, { text, ...attributes } = {}, ...children) {
   return filled(document.createElementNS(SVG, tag), text, attributes, children);
 }
 
+/** Mark a field as wrong and say why, or as right again with no text. */
+export function mark(input, why) {
+  input.setCustomValidity(why);
+  input.setAttribute("aria-invalid", String(why !== ""));
+}
+
+/** Mark a field for numbers by its own bounds. */
+export function checkRange(input, unit) {
+  mark(input, ""); // what was said before would count as a fault of its own
+  const { min, max, validity } = input;
+  mark(input, validity.valid ? "" : `This takes ${min} to ${max} ${unit}.`);
+}
+
+/** Go to the first field that is marked as wrong and say why; nothing where all are right. */
+export function showWrong(form) {
+  const wrong = form.querySelector('[aria-invalid="true"]');
+  const fold = wrong?.closest("details");
+  if (fold) fold.open = true;
+  wrong?.focus();
+  return wrong?.validationMessage ?? "";
+}
+
 /** Show a problem of the server, word for word, or hide it again. */
 export function showProblem(box, problem) {
   box.hidden = !problem;

@@ -1,6 +1,7 @@
 // Editing microphone positions: a table in millimetres, a ring by its size, or JSON in metres.
 
-import { element } from "./dom.js";
+import { element, mark } from "./dom.js";
+import { whyWrong } from "./geometry.js";
 
 const MAX_MICROPHONES = 32;
 const AXES = ["x", "y", "z"];
@@ -22,7 +23,7 @@ export class GeometryEditor {
         "details",
         {},
         element("summary", { text: "As JSON" }),
-        element("label", { class: "quiet small", for: "json", text: `Metres: ${FORM}` }),
+        element("label", { class: "quiet small", for: "json", text: `As files have it: ${FORM}` }),
         this.json,
         this.jsonError,
       ),
@@ -82,6 +83,15 @@ export class GeometryEditor {
   #showTable() {
     const rows = this.#positions.map((position, index) => this.#row(position, index));
     this.body.replaceChildren(...rows);
+    this.#mark();
+  }
+
+  #mark() {
+    [...this.body.rows].forEach((row, n) =>
+      row.querySelectorAll("input").forEach((input, axis) =>
+        mark(input, whyWrong(this.#positions, n, axis)),
+      ),
+    );
   }
 
   #row(position, index) {
@@ -110,6 +120,7 @@ export class GeometryEditor {
   }
 
   #changed() {
+    this.#mark();
     this.#showJson();
     this.onChange(this.#positions);
   }

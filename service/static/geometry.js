@@ -2,7 +2,8 @@
 
 const SPEED_OF_SOUND = 343; // m/s
 const TOLERANCE = 1e-4; // metres within which microphones lie on one line or in one plane
-const LARGE = 1.0; // metres; more is most likely millimetres read as metres
+const LARGE = 1.0; // metres; more is most likely a slip
+const SAME_PLACE = 1e-6; // metres
 
 const between = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
 
@@ -48,6 +49,13 @@ export function facts(positions) {
   };
 }
 
+/** Why the number of a microphone on an axis cannot be, or nothing. */
+export function whyWrong(positions, n, axis) {
+  if (!Number.isFinite(positions[n][axis])) return `Microphone ${n} needs a number for ${"xyz"[axis]}.`;
+  const twin = positions.findIndex((p, other) => other !== n && between(p, positions[n]) < SAME_PLACE);
+  return twin < 0 ? "" : `Microphones ${n} and ${twin} are at the same place.`;
+}
+
 /** What the user should know before the service says no, or answers less than is hoped for. */
 export function hints(positions) {
   if (positions.some((p) => p.some((value) => !Number.isFinite(value)))) {
@@ -56,11 +64,11 @@ export function hints(positions) {
   if (positions.length < 2) return ["An array has at least two microphones."];
   const found = [];
   const { largest, smallest, closest } = spacing(positions);
-  if (smallest < 1e-6) {
+  if (smallest < SAME_PLACE) {
     found.push(`Microphones ${closest[0]} and ${closest[1]} are at the same place.`);
   }
   if (largest > LARGE) {
-    found.push(`${largest.toFixed(2)} m across is large: are these millimetres read as metres?`);
+    found.push(`${millimetres(largest)} across is large: is a digit too many, or JSON in millimetres?`);
   }
   if (largest < 0.01) found.push("Below 10 mm across, directions are coarse.");
   if (isLinear(positions)) {
@@ -68,7 +76,7 @@ export function hints(positions) {
   }
   const heights = positions.map((p) => p[2]);
   if (Math.max(...heights) - Math.min(...heights) > TOLERANCE) {
-    found.push("Microphones at different heights are fine; only the azimuth is estimated.");
+    found.push("Microphones at different heights: elevations are estimated where they differ enough.");
   }
   return found;
 }

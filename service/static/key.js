@@ -7,6 +7,14 @@ const STORE = "neuralmusic.key";
 const NEEDED = "key-needed";
 const GIVEN = "key-given";
 
+/** What to do about a key, by the problem's code. */
+const WORDS = {
+  key_missing: "Only people with a key may use it. Ask whoever runs it for one: a line of letters that begins with nm_. Paste it here.",
+  key_unknown: "It does not know this key. See whether all of it was pasted, or ask whoever runs it for another.",
+  key_expired: "This key is too old. Ask whoever runs the service for a new one.",
+  role_missing: "This key is not for that. Ask whoever runs the service for one that is, or go on with what this one allows.",
+};
+
 let current = read();
 
 /** Whether the user gave a key. */
@@ -27,7 +35,7 @@ export function listenForKeys(onGiven) {
   addEventListener(NEEDED, ({ detail: problem }) => {
     const before = byId("key-form").hidden;
     byId("key-form").hidden = false;
-    byId("key-why").textContent = problem.detail;
+    byId("key-why").textContent = WORDS[problem.code] ?? problem.detail;
     if (before) byId("key").focus();
   });
   addEventListener(GIVEN, onGiven);

@@ -6,10 +6,10 @@ import { Dial } from "./dial.js";
 import { byId, element, showFacts, showProblem } from "./dom.js";
 import { exportAddress, save } from "./api.js";
 import { hasKey } from "./key.js";
-import { showSources } from "./readout.js";
+import { showSources, showWarnings } from "./readout.js";
 import { Strip } from "./strip.js";
 import { Timeline } from "./timeline.js";
-import { METHODS, duration, warningTitle, whyNoSource } from "./words.js";
+import { METHODS, duration, whyNoSource } from "./words.js";
 
 const HISTORY = 60; // seconds
 const SHORTEST = 15; // seconds that are shown at least: a young session fills them sooner
@@ -36,6 +36,15 @@ export class LiveView {
     const line = byId("live-state");
     if (line.textContent !== text) line.textContent = text;
     line.dataset.state = state;
+    byId("live").dataset.state = state; // what was last heard is no direction of the present
+    this.#showTitle();
+  }
+
+  #showTitle() {
+    const { state } = byId("live").dataset;
+    const word = state === "ended" || state === "broken" ? "Last heard" : "Now";
+    const at = this.latest ? `, ${duration(this.latest.result.t_end)}` : "";
+    byId("live-title").textContent = word + at;
   }
 
   /** Show why a stream was refused or broke off. */
@@ -73,7 +82,6 @@ export class LiveView {
     this.timeline.set(this.#minute(0));
     showProblem(byId("live-problem"), null);
     byId("live-note").textContent = "";
-    byId("live-title").textContent = "Now";
     byId("live-exports").replaceChildren();
     showSources(byId("live-sources"), []);
     showFacts(byId("live-facts"), {});
@@ -125,6 +133,7 @@ export class LiveView {
     const sources = result.sources.map((source) => ({
       ...source,
       azimuth: source.azimuth_deg,
+      elevation: source.elevation_deg,
       slot: this.colours.of(source.id),
     }));
     for (const { azimuth, confidence, active, slot } of sources) {
@@ -145,7 +154,7 @@ export class LiveView {
     const { result, sources } = this.latest;
     this.dial.show({ spectrum: result.spectrum, sources });
     this.timeline.set(this.#minute(result.t_end));
-    byId("live-title").textContent = `Now, ${duration(result.t_end)}`;
+    this.#showTitle();
     byId("live-note").textContent = sources.length ? "" : whyNoSource(result.why_no_source);
     showSources(byId("live-sources"), sources);
     this.facts.Lag = `${Math.round(result.lag_ms)} ms`;
@@ -172,23 +181,13 @@ export class LiveView {
   #warning({ code, detail }) {
     const count = (this.warnings.get(code)?.count ?? 0) + 1;
     this.warnings.delete(code); // the newest comes last
-    this.warnings.set(code, { detail, count });
+    this.warnings.set(code, { code, detail, count });
     this.#showWarnings();
   }
 
   #showWarnings() {
-    byId("live-warnings-section").hidden = !this.warnings.size;
-    const newest = [...this.warnings].reverse().slice(0, MAX_WARNINGS);
-    byId("live-warnings").replaceChildren(
-      ...newest.map(([code, { detail, count }]) =>
-        element(
-          "li",
-          {},
-          element("strong", { text: warningTitle(code) + (count > 1 ? ` (${count} times)` : "") }),
-          element("span", { text: detail }),
-        ),
-      ),
-    );
+    const newest = [...this.warnings.values()].reverse().slice(0, MAX_WARNINGS);
+    showWarnings(byId("live-serious"), byId("live-warnings"), newest);
   }
 
   #closing({ detail }) {

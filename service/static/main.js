@@ -1,22 +1,24 @@
 // The page: two views, what the service offers, whether it is there.
 
-import { arrays, models, signpost } from "./api.js";
+import { UNREACHED, arrays, models, ready, signpost } from "./api.js";
 import { byId, showProblem } from "./dom.js";
 import { listenForKeys } from "./key.js";
 import { Live } from "./live.js";
 import { RecordingView } from "./recording.js";
 
 const VIEWS = ["recording", "live"];
-const AGAIN_MS = 2000; // while the service loads its models, or is not there yet
+const AGAIN_MS = 2000; // while the service loads its models, or is not there
+const LOOK_MS = 5000; // while it is well
 
 const live = new Live();
-const recording = new RecordingView((setup) => {
-  const why = live.replay(setup);
-  byId("setup-status").textContent = why ?? "";
-  if (why) return;
+const recording = new RecordingView((setup, samples) => {
+  live.replay(setup, samples);
   show("live");
   byId("live-stop").focus();
 });
+
+let waiting = true; // for the first answer of the service
+let timer = 0;
 
 function show(chosen) {
   for (const name of VIEWS) {
@@ -46,24 +48,61 @@ function listenToTabs() {
 
 async function begin() {
   try {
-    const [{ version }, presets, bundles] = await Promise.all([signpost(), arrays(), models()]);
+    const asked = [signpost(), arrays(), models(), check()];
+    const [{ version }, presets, bundles] = await Promise.all(asked);
     recording.setup.offer(presets, bundles);
-    byId("health").textContent = `ready · ${version}`;
-    byId("health").dataset.state = "live";
-    showProblem(byId("problem"), null);
+    tell(`ready · ${version}`, "live");
+    if (waiting) showProblem(byId("problem"), null);
+    waiting = false;
+    later(look, LOOK_MS);
   } catch (problem) {
     if (!problem.detail) throw problem;
-    byId("health").textContent = problem.needsKey ? "key needed" : "not ready";
-    byId("health").dataset.state = "broken";
+    tell(problem.needsKey ? "key needed" : wordsFor(problem), "broken");
     if (problem.needsKey) return; // the form asks for one
-    showProblem(byId("problem"), problem);
-    setTimeout(begin, AGAIN_MS);
+    if (waiting) showProblem(byId("problem"), problem);
+    later(begin, AGAIN_MS);
   }
+}
+
+/** See whether the service is still there; one that comes back may offer other things. */
+async function look() {
+  if (document.hidden) return later(look, LOOK_MS);
+  try {
+    await check();
+    later(look, LOOK_MS);
+  } catch (problem) {
+    tell(wordsFor(problem), "broken");
+    later(begin, AGAIN_MS);
+  }
+}
+
+/** A Problem where the service takes no work; a proxy may hide the path that says so. */
+const check = () =>
+  ready().catch((problem) => {
+    if (problem.status !== 404) throw problem;
+  });
+
+/** A service that was not reached, or that refuses work for now. */
+const wordsFor = ({ status }) => (status ? "not ready" : "no answer");
+
+function tell(text, state) {
+  if (byId("health").textContent !== text) byId("health").textContent = text;
+  byId("health").dataset.state = state;
+}
+
+function later(step, wait) {
+  clearTimeout(timer);
+  timer = setTimeout(step, wait);
 }
 
 listenForKeys(() => {
   begin();
   live.again();
+});
+addEventListener(UNREACHED, () => {
+  if (waiting) return;
+  tell("no answer", "broken");
+  later(begin, AGAIN_MS);
 });
 listenToTabs();
 if (location.hash === "#live") show("live");

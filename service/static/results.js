@@ -4,10 +4,10 @@ import { inWords, label } from "./angles.js";
 import { RecordingColours } from "./colours.js";
 import { byId, element } from "./dom.js";
 import { Player } from "./player.js";
-import { showSources } from "./readout.js";
+import { showSources, showWarnings } from "./readout.js";
 import { Strip } from "./strip.js";
 import { Timeline } from "./timeline.js";
-import { METHODS, duration, warningTitle } from "./words.js";
+import { METHODS, duration, percent } from "./words.js";
 
 const PAGE = 10; // windows of Page Up and Page Down
 
@@ -44,9 +44,21 @@ export class Results {
     });
     this.#select(strong);
     this.#showSummary(answer, file.name);
-    showWarnings(answer.warnings);
+    showWarnings(byId("window-warnings"), byId("warnings"), answer.warnings);
     this.#offerDownloads(answer, text, file.name.replace(/\.[^.]+$/, ""));
     this.player.offer(file, answer.array.channel_map[0]);
+  }
+
+  /** Show nothing: neither arrows nor figures of a recording that is not chosen any more. */
+  clear() {
+    byId("answer").hidden = true;
+    this.#windows = [];
+    this.player.stop();
+    this.dial.rest();
+    byId("window-title").textContent = "At rest";
+    byId("window-note").textContent = "Press Localize.";
+    showSources(byId("window-sources"), []);
+    showWarnings(byId("window-warnings"), byId("warnings"), []);
   }
 
   #points(window) {
@@ -75,6 +87,7 @@ export class Results {
     this.#index = index;
     const sources = window.sources.map((source) => ({
       azimuth: source.azimuth_deg,
+      elevation: source.elevation_deg,
       confidence: source.confidence,
       slot: this.colours.of(source),
       id: source.id,
@@ -138,8 +151,8 @@ export class Results {
         "tr",
         { "data-slot": this.colours.ofSummary(source) },
         element("td", { class: "azimuth", text: label(source.azimuth_deg) }),
-        element("td", { text: inWords(source.azimuth_deg) }),
-        element("td", { text: source.confidence.toFixed(2) }),
+        element("td", { text: inWords(source.azimuth_deg, source.elevation_deg) }),
+        element("td", { text: percent(source.confidence) }),
         element("td", { text: `${Math.round(source.share * 100)} %` }),
       ),
     );
@@ -171,25 +184,10 @@ export class Results {
 /** How much a window has to show: the first one shown is the one with most. */
 const score = (window) => window.sources.reduce((sum, source) => sum + source.confidence, 0);
 
-function showWarnings(warnings) {
-  byId("warnings-section").hidden = !warnings.length;
-  byId("warnings").replaceChildren(
-    ...warnings.map(({ code, detail }) =>
-      element(
-        "li",
-        {},
-        element("strong", { text: warningTitle(code) }),
-        element("span", { text: detail }),
-      ),
-    ),
-  );
-}
-
 function csv(answer) {
-  const rows = answer.windows.flatMap((window) =>
-    window.sources.map((source) =>
-      [window.t_start, window.t_end, source.azimuth_deg, source.confidence, source.id ?? ""].join(","),
-    ),
+  const columns = ["azimuth_deg", "elevation_deg", "confidence", "id"];
+  const rows = answer.windows.flatMap(({ t_start: from, t_end: to, sources }) =>
+    sources.map((source) => [from, to, ...columns.map((name) => source[name] ?? "")].join(",")),
   );
-  return `${["t_start,t_end,azimuth_deg,confidence,id", ...rows].join("\n")}\n`;
+  return `${[["t_start", "t_end", ...columns].join(","), ...rows].join("\n")}\n`;
 }

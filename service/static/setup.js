@@ -3,8 +3,8 @@
 import { sampleFile } from "./sample.js";
 import { ArrayChoice } from "./array-choice.js";
 import { readHeader } from "./audio-file.js";
-import { byId, element } from "./dom.js";
-import { METHODS, counted, duration } from "./words.js";
+import { byId, checkRange, element } from "./dom.js";
+import { METHODS, capital, counted, duration } from "./words.js";
 
 const MAX_SOURCES = 4;
 const CLASSICAL = ["norm_music", "music", "srp_phat"];
@@ -13,6 +13,7 @@ export class Setup {
   file = null;
   /** Of the file, as `readHeader` gives it. */
   header = null;
+  #models = [];
 
   /** `onChange` is called when anything changed, `onSample` when the sample was chosen. */
   constructor({ onChange, onSample }) {
@@ -22,6 +23,17 @@ export class Setup {
     const counts = Array.from({ length: MAX_SOURCES }, (_, i) => String(i + 1));
     const options = counts.map((n) => element("option", { value: n, text: n }));
     byId("num-sources").replaceChildren(estimate, ...options);
+    byId("num-sources").addEventListener("change", onChange);
+    byId("method").addEventListener("change", () => {
+      this.#describeMethod();
+      onChange();
+    });
+    for (const id of ["window-s", "hop-s"]) {
+      byId(id).addEventListener("input", (event) => {
+        checkRange(event.target, "seconds");
+        onChange();
+      });
+    }
     byId("file").addEventListener("change", (event) => this.take(event.target.files[0]));
     byId("sample").addEventListener("click", async () => {
       const { positions } = this.array;
@@ -32,17 +44,34 @@ export class Setup {
     this.#takeDrops(byId("drop"));
   }
 
-  /** Offer what the service has. */
+  /** Offer what the service has; what is chosen stays chosen. */
   offer(presets, models) {
-    const automatic = element("option", { value: "", text: "Automatic" });
-    const neural = models.map(({ name, version }) =>
-      element("option", { value: `model:${name}`, text: `Neural: ${name} ${version}` }),
+    const chosen = byId("method").value;
+    const option = (value, text) => element("option", { value, text });
+    const neural = ({ name, version }) => option(`model:${name}`, `${name} ${version}`);
+    const use = models.filter(({ purpose }) => purpose === "localization");
+    const compare = models.filter((model) => !use.includes(model));
+    byId("method").replaceChildren(
+      option("", "Automatic: the best for the array"),
+      ...use.map(neural),
+      element(
+        "optgroup",
+        { label: "To compare with" },
+        ...CLASSICAL.map((method) => option(`method:${method}`, capital(METHODS[method]))),
+        ...compare.map(neural),
+      ),
     );
-    const classical = CLASSICAL.map((method) =>
-      element("option", { value: `method:${method}`, text: `Classical: ${METHODS[method]}` }),
-    );
-    byId("method").replaceChildren(automatic, ...neural, ...classical);
+    byId("method").value = chosen;
+    if (!byId("method").value) byId("method").value = "";
+    this.#models = models;
+    this.#describeMethod();
     this.array.offer(presets);
+  }
+
+  #describeMethod() {
+    const [, name] = byId("method").value.split(":");
+    byId("method-note").textContent =
+      this.#models.find((model) => model.name === name)?.description ?? "";
   }
 
   /** Take a file, whatever it is: the service says what is wrong with it. */

@@ -12,10 +12,15 @@ export class Watch {
   #failures = 0;
   #over = false;
 
-  constructor(session, view, ended) {
-    this.session = session;
+  /** Whether the session ended while it was watched. */
+  left = false;
+
+  /** `session` is an entry of GET /sessions. */
+  constructor({ id, state, replica }, view) {
+    this.session = id;
+    this.replica = replica;
     this.view = view;
-    this.ended = ended;
+    this.ended = state === "ended";
     view.begin("Opening the session…");
     this.#open();
   }
@@ -25,6 +30,11 @@ export class Watch {
     this.#over = true;
     clearTimeout(this.#timer);
     this.#reading.abort();
+  }
+
+  #leave() {
+    this.left = true;
+    this.close();
   }
 
   async #open() {
@@ -42,8 +52,8 @@ export class Watch {
   #take(type, message) {
     this.#failures = 0;
     this.view.receive({ ...message, type });
-    if (type === "summary" || type === "error") this.close();
-    if (type === "closing") this.#over = true; // a summary may follow; no new attempt may
+    if (type === "summary" || type === "error") this.#leave();
+    if (type === "closing") this.#over = this.left = true; // a summary may follow; no new attempt may
   }
 
   #broken() {
@@ -62,11 +72,12 @@ export class Watch {
   /** A session that has ended still answers with its last minute: ask first if it runs. */
   async #again() {
     try {
-      const { sessions: known } = await sessions();
+      const { sessions: known, replicas } = await sessions();
       if (this.#over) return;
       if (known.some(({ id, state }) => id === this.session && state === "running")) this.#open();
+      else if (!replicas.includes(this.replica)) this.#broken(); // others answered
       else {
-        this.close();
+        this.#leave();
         this.view.say("The session has ended.", "ended");
       }
     } catch {

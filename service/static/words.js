@@ -1,25 +1,30 @@
 // Plain words for codes. The server's own sentences are always shown beside them.
 
-const TITLES = {
+/** Warnings that leave the directions as good as they are, or that the user knows the reason of. */
+const MINOR = {
   audio_dropped: "Audio was dropped",
   audio_gap: "Audio is missing",
   non_finite: "Broken samples",
   quiet: "Very quiet",
-  channel_dead: "A microphone is silent",
-  channels_identical: "Channels are copies",
   clipping: "Clipping",
   dc_offset: "Constant offset",
   band_limited: "High frequencies are missing",
+  channel_map_assumed: "The device's channels were assumed",
+  no_model_for_array: "No model for this array",
+  calibration_failed: "The calibration failed",
+};
+
+/** Warnings under which directions may be wrong. */
+const SERIOUS = {
+  channel_dead: "A microphone is silent",
+  channels_identical: "Channels are copies",
   channel_late: "A channel comes late",
   channel_order: "Channels seem swapped",
   array_scale: "The array's size does not fit",
   channel_processed: "A channel is processed",
   sample_rate_wrong: "The sample rate does not fit",
-  channel_map_assumed: "The device's channels were assumed",
-  no_model_for_array: "No model for this array",
   front_back_ambiguous: "Front and back look alike",
   noise_mismatch: "The noise has changed",
-  calibration_failed: "The calibration failed",
 };
 
 const REASONS = {
@@ -39,9 +44,17 @@ export const METHODS = {
 
 /** What a warning is about. */
 export function warningTitle(code) {
-  const spaced = String(code).replaceAll("_", " ");
-  return TITLES[code] ?? spaced.charAt(0).toUpperCase() + spaced.slice(1);
+  return SERIOUS[code] ?? MINOR[code] ?? capital(String(code).replaceAll("_", " "));
 }
+
+/** A text that begins with a capital. */
+export const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
+
+/** Whether a warning belongs beside the directions; one that is new to this page does. */
+export const isSerious = (code) => !(code in MINOR);
+
+/** A confidence for people: never "100 %", which no estimate is. */
+export const percent = (confidence) => `${Math.min(99, Math.round(100 * confidence))} %`;
 
 /** Why there is no source. */
 export const whyNoSource = (reason) => REASONS[reason] ?? "No source.";

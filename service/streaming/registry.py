@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 from neuralmusic.errors import Overloaded
-from neuralmusic.protocol.server_messages import Ready, ServerMessage
+from neuralmusic.protocol.server_messages import Ready, ServerMessage, StreamWarning
 from service.streaming.reporter import Reporter
 from service.streaming.session import Session
 
@@ -35,6 +35,8 @@ class SessionEntry:
     act: Act
     """Has the session take a step; what that raises is the end of this session alone"""
     ready: Ready | None = None
+    warnings: dict[str, StreamWarning] = field(default_factory=dict)
+    """The last warning of each code"""
     watchers: list[Watcher] = field(default_factory=list)
 
     @property
@@ -62,6 +64,8 @@ class SessionEntry:
         """Keep a message of the session and pass it to the watchers."""
         if isinstance(message, Ready):
             self.ready = message
+        elif isinstance(message, StreamWarning):
+            self.warnings[message.code] = message
         for watcher in tuple(self.watchers):
             watcher(message)
 

@@ -6,12 +6,14 @@ import re
 import zipfile
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from fastapi.testclient import TestClient
 
+from neuralmusic.protocol.server_messages import WarningCode
 from service.api.page import asks_for_page
+from service.doa.diagnostics.finding import FindingCode
 
 ROOT = Path(__file__).parents[2]
 STATIC = ROOT / "service" / "static"
@@ -62,6 +64,19 @@ def test_every_file_is_served_safely(client: TestClient, path: str) -> None:
     assert policy["default-src"] == "'self'"
     assert policy["connect-src"] == "'self' ws: wss:"
     assert "unsafe" not in headers["content-security-policy"]
+
+
+def test_the_api_s_page_is_whole_without_the_internet(client: TestClient) -> None:
+    answer = client.get("/docs", headers={"Accept": BROWSER})
+    policy = answer.headers["content-security-policy"]
+    assert "default-src 'self'" in policy
+    assert "unsafe" not in policy
+    parser = Page()
+    parser.feed(answer.text)
+    assert parser.blocked == []
+    assert {"static/swagger-ui.css", "static/swagger-ui-bundle.js"} <= set(parser.references)
+    for reference in parser.references:
+        assert client.get(f"/{reference}").status_code == 200, reference
 
 
 def test_the_types_are_those_that_browsers_run(client: TestClient) -> None:
@@ -150,6 +165,12 @@ class Page(HTMLParser):
         inline = tag == "style" or (tag == "script" and "src" not in given)
         handlers = [name for name in given if name.startswith("on") or name == "style"]
         self.blocked += handlers + ([tag] if inline else [])
+
+
+def test_every_warning_has_words_on_the_page() -> None:
+    words = (STATIC / "words.js").read_text()
+    for code in {*get_args(WarningCode), *get_args(FindingCode)}:
+        assert re.search(rf"^  {code}: \"", words, re.MULTILINE), code
 
 
 @pytest.fixture(scope="module")

@@ -44,6 +44,24 @@ def test_a_handshake_without_the_subprotocol_is_a_problem_and_no_error_of_the_se
     assert headers["content-type"] == "application/problem+json"
 
 
+@pytest.mark.parametrize("path", ["/streams", "/stream/", "/localize", "/"])
+def test_a_websocket_at_a_wrong_path_is_a_problem_that_names_the_right_one(
+    service: RunningService, path: str
+) -> None:
+    status, problem, headers = refusal(service, path=path)
+    assert (status, problem["code"]) == (404, "not_found")
+    assert problem["detail"] == f"there is no WebSocket at {path}: streams are at /stream"
+    assert headers["content-type"] == "application/problem+json"
+
+
+def test_a_request_to_the_stream_s_path_is_told_that_it_is_a_websocket(
+    service: RunningService,
+) -> None:
+    answer = httpx2.get(f"{service.url}/stream")
+    assert (answer.status_code, answer.json()["code"]) == (404, "not_found")
+    assert "/stream is a WebSocket" in answer.json()["detail"]
+
+
 def test_a_page_from_elsewhere_is_refused_and_the_own_page_is_not(service: RunningService) -> None:
     status, problem, _ = refusal(service, origin="http://evil.example")
     assert (status, problem["code"]) == (403, "origin_refused")
@@ -276,6 +294,28 @@ def test_hundreds_who_connect_and_vanish_leave_nothing_behind(service: RunningSe
     asyncio.run(run())
     settle(service)
     assert threading.active_count() <= threads + 1
+
+
+def test_who_watches_late_is_told_what_was_warned_of(service: RunningService) -> None:
+    silent = np.frombuffer(SECOND, "<i2").reshape(-1, 4).copy()
+    silent[:, 2] = 0
+
+    async def run() -> tuple[dict[str, Any], dict[str, Any]]:
+        async with opened(service) as socket, httpx2.AsyncClient(base_url=service.url) as http:
+            ready = await started(socket, overflow="block")
+            for _ in range(3):
+                for begin in range(0, len(silent), 4000):
+                    await socket.send(silent[begin : begin + 4000].tobytes())
+            warned = await until(socket, "warning")
+            async with http.stream("GET", f"/sessions/{ready['session']}/events") as response:
+                lines = response.aiter_lines()
+                while await anext(lines) != "event: warning":
+                    pass
+                return warned, json.loads((await anext(lines)).removeprefix("data: "))
+
+    warned, told = asyncio.run(run())
+    assert (told["code"], told["channels"]) == ("channel_dead", [2])
+    assert told == warned
 
 
 def test_a_session_can_be_watched_listed_and_exported(service: RunningService) -> None:

@@ -8,18 +8,20 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 import yaml
 
+from neuralmusic.protocol.server_messages import WarningCode
 from service.inference.results import ModelIdentity
 from service.observability.metrics import Gauges, Metrics
 
 ROOT = Path(__file__).parents[2]
 DOCUMENT = (ROOT / "docs" / "monitoring.md").read_text()
-RULES = ROOT / "docker" / "prometheus" / "rules.yml"
-DASHBOARD = ROOT / "docker" / "grafana" / "dashboards" / "neuralmusic.json"
+DOCKER = ROOT / "docker"
+RULES = DOCKER / "prometheus" / "rules.yml"
+DASHBOARD = DOCKER / "grafana" / "dashboards" / "neuralmusic.json"
 COLUMNS = 24
 """Columns of Grafana's grid"""
 
@@ -79,6 +81,14 @@ def test_alerts_name_metrics_that_exist() -> None:
         assert named(alert["expr"]) <= known, alert["alert"]
 
 
+def test_alerts_name_warnings_that_exist() -> None:
+    known = set(get_args(WarningCode))
+    named = [re.findall(r'stream_warnings_total{code=~"([a-z_|]+)"', a["expr"]) for a in alerts()]
+    codes = [code for (listed,) in filter(None, named) for code in listed.split("|")]
+    assert len(set(codes)) == len(codes) > 0
+    assert set(codes) <= known
+
+
 @pytest.mark.parametrize("alert", alerts(), ids=lambda alert: alert["alert"])
 def test_every_alert_says_how_bad_what_and_what_to_do(alert: Any) -> None:
     assert alert["labels"]["severity"] in ("critical", "warning")
@@ -106,6 +116,19 @@ def test_every_alert_has_its_place_in_the_document_and_no_other_has() -> None:
 def test_prometheus_takes_the_rules(command: tuple[str, str, Path]) -> None:
     done = subprocess.run(["promtool", *command], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_alerts_go_to_the_alertmanager_of_compose_and_a_receiver_may_be_named() -> None:
+    services = yaml.safe_load((DOCKER / "compose.observability.yaml").read_text())["services"]
+    (sent_to,) = yaml.safe_load((DOCKER / "prometheus/prometheus.yml").read_text())["alerting"][
+        "alertmanagers"
+    ]
+    assert sent_to == {"static_configs": [{"targets": ["alertmanager:9093"]}]}
+    mounted, _ = services["alertmanager"]["volumes"]
+    default = mounted.partition(":-")[2].partition("}")[0]
+    assert mounted == f"${{ALERTS:-{default}}}:/etc/alertmanager/alertmanager.yml:ro"
+    config = yaml.safe_load((DOCKER / default).read_text())
+    assert config["route"]["receiver"] in [each["name"] for each in config["receivers"]]
 
 
 def test_every_alert_is_shown_to_fire() -> None:

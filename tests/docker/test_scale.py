@@ -6,6 +6,7 @@ import asyncio
 import io
 import itertools
 from collections.abc import Callable, Iterator
+from contextlib import AsyncExitStack
 from dataclasses import dataclass, field
 
 import httpx2
@@ -156,6 +157,33 @@ def test_nothing_is_lost_while_every_replica_is_replaced_under_load(three: Compo
     assert load.cut >= STREAMS
     assert load.told == load.cut
     assert load.sessions == STREAMS + load.cut
+
+
+def test_whichever_replica_is_asked_shows_the_streams_of_all(three: ComposeProject) -> None:
+    """Streams go to the replica with the fewest connections, so three are on three."""
+    url = three.url("proxy", 8000)
+
+    async def run() -> None:
+        async with asyncio.timeout(PATIENCE_S), AsyncExitStack() as held:
+            streams = [await held.enter_async_context(robot(url)) for _ in range(3)]
+            known = {(await anext(aiter(stream))).session for stream in streams}
+            async with httpx2.AsyncClient(base_url=url) as http:
+                for _ in range(6):  # the proxy sends them to different replicas
+                    answer = (await http.get("/sessions")).json()
+                    running = [s for s in answer["sessions"] if s["state"] == "running"]
+                    assert {session["id"] for session in running} == known
+                    assert len({session["replica"] for session in running}) == 3
+                    assert (len(answer["replicas"]), answer["unanswered"]) == (3, 0)
+                    for session in known:
+                        async with http.stream("GET", f"/sessions/{session}/events") as events:
+                            assert await anext(events.aiter_lines()) == "event: ready"
+
+    asyncio.run(run())
+
+
+def robot(url: str) -> AsyncStreamClient:
+    audio = {"encoding": "pcm_s16le", "sample_rate": RATE, "channels": 4}
+    return AsyncStreamClient(url, array=ARRAY, audio=audio)
 
 
 def test_what_is_for_operators_is_not_published(three: ComposeProject) -> None:

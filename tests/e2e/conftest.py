@@ -61,7 +61,7 @@ class Visit:
     elsewhere: list[str] = field(default_factory=list)
     """Requests to anything but the service"""
     refusals: int = 0
-    """Number of 4xx answers that the test provokes; the browser itself reports each"""
+    """Number of failed requests that the test provokes; the browser itself reports each"""
 
     def on_console(self, message: Any) -> None:
         if message.type in ("warning", "error"):
@@ -115,7 +115,7 @@ def visit(chromium: Any, url: str) -> Iterator[Callable[..., Visit]]:
     yield open_page
     for here in opened:
         here.page.context.close()
-        refused = [text for text in here.complaints if "the server responded with a status" in text]
+        refused = [text for text in here.complaints if "Failed to load resource" in text]
         assert len(refused) == here.refusals
         assert [text for text in here.complaints if text not in refused] == []
         assert here.elsewhere == []

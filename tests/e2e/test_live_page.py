@@ -54,6 +54,7 @@ SESSION = {
     "dropped_s": 0.0,
     "num_sources": 1,
     "state": "running",
+    "replica": "one",
 }
 
 
@@ -125,8 +126,9 @@ def script_sessions(page: Any, running: list[dict[str, Any]], *streams: str) -> 
     )
 
 
-def listed(running: list[dict[str, Any]]) -> dict[str, Any]:
-    return {"sessions": running, "max_sessions": 8}
+def listed(running: list[dict[str, Any]], **changes: Any) -> dict[str, Any]:
+    replicas = {"replica": "one", "replicas": ["one"], "unanswered": 0}
+    return {"sessions": running, "max_sessions": 8, **replicas, **changes}
 
 
 def open_live(visit: Visits, running: list[dict[str, Any]], *streams: str) -> Any:
@@ -187,7 +189,7 @@ def test_a_session_is_watched_to_its_end(visit: Visits, square: MicrophoneArray)
     here = open_live(visit, [SESSION], stream)
     page = here.page
     expect(page.locator("#sessions strong")).to_have_text("<b>patrol</b>")
-    page.click("#sessions button")
+    expect(page.locator("#sessions button")).to_have_attribute("aria-pressed", "true")
     sources = page.locator("#live-sources .where")
     expect(sources).to_have_text(["front left#7", "back, pausing#12"])
     assert here.azimuths("#live-sources .azimuth") == [45, 200]
@@ -198,6 +200,8 @@ def test_a_session_is_watched_to_its_end(visit: Visits, square: MicrophoneArray)
     expect(page.locator("#live-state")).to_have_text(
         "The session has ended after 12.0 s: 110 results, 0.5 s dropped."
     )
+    expect(page.locator("#live")).to_have_attribute("data-state", "ended")
+    expect(page.locator("#live-title")).to_have_text("Last heard, 1.1 s")
     links = [link.get_attribute("href") for link in page.locator("#live-exports a").all()]
     assert links == ["sessions/a1/export?format=csv", "sessions/a1/export?format=jsonl"]
 
@@ -205,7 +209,6 @@ def test_a_session_is_watched_to_its_end(visit: Visits, square: MicrophoneArray)
 def test_silence_is_explained(visit: Visits, square: MicrophoneArray) -> None:
     stream = events(ready(square), result(1, why_no_source="no_direction"), summary(2))
     here = open_live(visit, [SESSION], stream)
-    here.page.click("#sessions button")
     expect(here.page.locator("#live-note")).to_have_text(
         "There is sound, but from no clear direction."
     )
@@ -215,7 +218,6 @@ def test_a_broken_connection_is_told_and_mended(visit: Visits, square: Microphon
     breaks_off = events(ready(square), result(1, source(7, 45.0)))
     goes_on = events(ready(square), result(9, source(7, 50.0)), summary(10))
     here = open_live(visit, [SESSION], breaks_off, goes_on)
-    here.page.click("#sessions button")
     expect(here.page.locator("#live-state")).to_contain_text("The connection broke. Trying again")
     expect(here.page.locator("#live-state")).to_contain_text("The session has ended after")
     assert here.azimuths("#live-sources .azimuth") == [50]
@@ -231,7 +233,7 @@ def test_why_a_watched_session_broke_off_is_said(visit: Visits, square: Micropho
         close_code=4410,
     )
     here = open_live(visit, [SESSION], events(ready(square), result(1, source(7, 45.0)), error))
-    here.page.click("#sessions button")
+    expect(here.page.locator("#live-dial")).to_be_hidden()
     expect(here.page.locator("#live-problem .detail")).to_have_text(error.detail)
     expect(here.page.locator("#live-state")).to_have_text("The stream has ended with a problem.")
 
@@ -241,9 +243,34 @@ def test_a_session_that_is_gone_is_not_asked_for_again(
 ) -> None:
     running = [SESSION]
     here = open_live(visit, running, events(ready(square), result(1, source(7, 45.0))))
-    here.page.click("#sessions button")
+    expect(here.page.locator("#sessions button")).to_have_attribute("aria-pressed", "true")
     running.clear()
     expect(here.page.locator("#live-state")).to_have_text("The session has ended.")
+
+
+def test_where_several_run_the_user_chooses_and_the_list_says_where_they_run(
+    visit: Visits, square: MicrophoneArray
+) -> None:
+    here = visit()
+    page = here.page
+    both = [SESSION, {**SESSION, "id": "b2", "client": "robot-2", "replica": "two"}]
+    answer = listed(both, replicas=["one", "two"], unanswered=1)
+    page.route("**/sessions", lambda route: route.fulfill(json=answer))
+    stream = events(ready(square), result(1, source(7, 45.0)), summary(2))
+    asked: list[str] = []
+
+    def watched(route: Any) -> None:
+        asked.append(route.request.url.removeprefix(here.url))
+        route.fulfill(content_type="text/event-stream", body=stream)
+
+    page.route("**/sessions/*/events", watched)
+    page.click("#tab-live")
+    expect(page.locator("#sessions-note")).to_have_text(
+        "2 of at most 8 on 2 replicas; 1 replica did not answer."
+    )
+    page.click("#sessions button >> nth=1")
+    expect(page.locator("#live-state")).to_contain_text("The session has ended after")
+    assert asked == ["/sessions/b2/events"]
 
 
 @pytest.mark.parametrize(
@@ -253,14 +280,16 @@ def test_a_session_that_is_gone_is_not_asked_for_again(
         ("PCM_24", "pcm_s24le", 3),
         ("PCM_32", "pcm_s32le", 4),
         ("FLOAT", "pcm_f32le", 4),
+        ("FLAC", "pcm_f32le", 4),
     ],
 )
 def test_replay_sends_the_file_s_samples_as_they_are(
     visit: Visits, square: MicrophoneArray, tmp_path: Path, subtype: str, encoding: str, width: int
 ) -> None:
-    path = tmp_path / "short.wav"
+    flac = subtype == "FLAC"
+    path = tmp_path / ("hören 1.flac" if flac else "hören 1.wav")
     samples = 0.1 * np.random.default_rng(0).standard_normal((4000, 6))
-    soundfile.write(path, samples, 16000, subtype=subtype)
+    soundfile.write(path, samples, 16000, subtype="PCM_24" if flac else subtype)
     texts: list[str] = []
     audio: list[bytes] = []
 
@@ -294,9 +323,15 @@ def test_replay_sends_the_file_s_samples_as_they_are(
     assert start.method == "srp_phat"
     assert start.overflow == "drop_oldest"
     assert start.output.include == ("spectrum",)
+    assert start.client == f"replay-ho-ren-1{path.suffix}"
     assert stop.type == "stop"
     assert all(len(message) % (6 * width) == 0 and len(message) <= 65536 for message in audio)
-    assert b"".join(audio) == path.read_bytes()[-4000 * 6 * width :]
+    if flac:  # as the browser decodes it
+        read, _ = soundfile.read(path, dtype="float32")
+        sent = np.frombuffer(b"".join(audio), "<f4").reshape(-1, 6)
+        np.testing.assert_allclose(sent, read, atol=2**-24)
+    else:
+        assert b"".join(audio) == path.read_bytes()[-4000 * 6 * width :]
 
 
 def test_why_a_stream_is_refused_is_said_in_the_service_s_words(
@@ -324,10 +359,10 @@ def test_why_a_stream_is_refused_is_said_in_the_service_s_words(
     expect(here.page.locator("#live-problem code")).to_have_text(error.code)
 
 
-def test_only_wav_is_replayed(visit: Visits) -> None:
+def test_a_file_that_the_browser_cannot_decode_is_not_replayed(visit: Visits) -> None:
     here = visit()
     flac = {"name": "a.flac", "mimeType": "audio/flac", "buffer": b"fLaC" + bytes(40)}
     here.page.set_input_files("#file", flac)
     here.page.click("#replay")
-    expect(here.page.locator("#setup-status")).to_contain_text("Replay needs a WAV file")
+    expect(here.page.locator("#setup-status")).to_contain_text("This browser cannot decode a.flac")
     expect(here.page.locator("#recording")).to_be_visible()

@@ -53,6 +53,8 @@ def test_the_sample_s_directions_are_read_off_the_page(visit: Visits) -> None:
     here.localize(SAMPLE)
     assert_azimuths(here.azimuths(), TALKERS_DEG)
     assert_azimuths(here.azimuths("#window-sources .azimuth"), TALKERS_DEG, within=8)
+    for sure in here.page.locator("#window-sources .sure").all_inner_texts():
+        assert 50 <= int(sure.removesuffix(" % sure")) <= 99
     expect(here.page.locator("#file-facts")).to_contain_text("FLAC · 4 channels · 16 kHz")
     expect(here.page.locator("#warnings-section")).to_be_hidden()
     settle(here)
@@ -107,6 +109,12 @@ def test_positions_are_edited_in_millimetres(visit: Visits) -> None:
     expect(page.locator("#array-hints")).to_contain_text("one line")
     page.fill("[aria-label='Microphone 0, x in millimetres']", "")
     expect(page.locator("#array-hints")).to_contain_text("three numbers")
+    page.set_input_files("#file", SAMPLE)
+    page.click("#localize")
+    expect(page.locator("#setup-status")).to_have_text("Microphone 0 needs a number for x.")
+    wrong = page.locator("#setup [aria-invalid=true]")
+    expect(wrong).to_be_focused()
+    expect(wrong).to_have_attribute("aria-label", "Microphone 0, x in millimetres")
     page.click("[aria-label='Remove microphone 0']")
     assert json.loads(page.input_value("#json")) == [
         [-0.025, pytest.approx(0.0433013), 0],
@@ -147,6 +155,89 @@ def test_what_the_service_refuses_is_said_in_its_own_words(visit: Visits, tmp_pa
     expect(here.page.locator("#problem .detail")).to_have_text(problem["detail"])
 
 
+def test_what_is_shown_belongs_to_what_is_chosen(visit: Visits) -> None:
+    here = visit()
+    page = here.page
+    here.localize(SAMPLE)
+    page.select_option("#method", "method:srp_phat")
+    expect(page.locator("#stale")).to_be_visible()
+    page.select_option("#method", "")
+    expect(page.locator("#stale")).to_be_hidden()
+    here.refusals = 1
+    page.select_option("#array", "minidsp-uma8")
+    page.click("#localize")
+    expect(page.locator("#problem code")).to_have_text("channel_mismatch")
+    for gone in ("#dial", "#answer", "#stale"):
+        expect(page.locator(gone)).to_be_hidden()
+    page.select_option("#array", "respeaker-usb-4mic-v2")
+    expect(page.locator("#problem")).to_be_hidden()
+    expect(page.locator("#dial")).to_be_visible()
+    here.localize(SAMPLE)
+    page.set_input_files("#file", {"name": "other.wav", "mimeType": "", "buffer": b"RIFF"})
+    expect(page.locator("#answer")).to_be_hidden()
+    expect(page.locator("#dial .chip")).to_have_count(0)
+    expect(page.locator("#window-sources li")).to_have_count(0)
+
+
+def test_no_confidence_is_shown_as_certain(visit: Visits) -> None:
+    words = (
+        "import('./static/words.js').then(({ percent }) => [0.05, 0.946, 0.999, 1].map(percent))"
+    )
+    assert visit().page.evaluate(words) == ["5 %", "95 %", "99 %", "99 %"]
+
+
+def test_fields_with_numbers_that_cannot_be_are_marked(visit: Visits) -> None:
+    page = visit().page
+    page.set_input_files("#file", SAMPLE)
+    page.fill("#channel-map", "0,1,2,9")
+    page.click("#localize")
+    expect(page.locator("#setup-status")).to_have_text(
+        "There is no channel 9: the recording has 0 to 3."
+    )
+    page.fill("#channel-map", "0,1,2,3")
+    page.click("text=More options")
+    page.fill("#window-s", "50")
+    page.click("#localize")
+    expect(page.locator("#setup-status")).to_have_text("This takes 0.128 to 10 seconds.")
+    expect(page.locator("#window-s")).to_be_focused()
+
+
+def test_models_are_offered_by_what_they_are_for(visit: Visits) -> None:
+    method = visit().page.locator("#method")
+    use = method.locator("> option").all_inner_texts()
+    compare = method.locator("optgroup").get_attribute("label")
+    assert [text.split()[0] for text in use] == ["Automatic:", "any-array"]
+    assert compare == "To compare with"
+    assert method.locator("optgroup option").last.inner_text().startswith("paper ")
+
+
+def test_the_header_tells_when_the_service_is_gone_and_when_it_is_back(visit: Visits) -> None:
+    here = visit()
+    page, health = here.page, here.page.locator("#health")
+    page.clock.install()
+    page.reload()
+    expect(health).to_contain_text("ready ·")
+    page.fill("#channel-map", "3,2,1,0")
+    here.refusals = 2
+    page.route("**/readyz", lambda route: route.fulfill(status=503, json={}), times=1)
+    page.clock.fast_forward(6000)
+    expect(health).to_have_text("not ready")
+    page.clock.fast_forward(3000)
+    expect(health).to_contain_text("ready ·")
+    page.route("**/localize", lambda route: route.abort(), times=1)
+    page.set_input_files("#file", SAMPLE)
+    page.click("#localize")
+    expect(health).to_have_text("no answer")
+    page.clock.fast_forward(3000)
+    expect(health).to_contain_text("ready ·")
+
+
+def test_the_api_s_page_asks_no_other_host(visit: Visits) -> None:
+    page = visit().page
+    page.click("footer a >> text=API")
+    expect(page.locator("#operations-localization-localize")).to_be_visible()
+
+
 def test_a_page_that_is_opened_too_early_waits_for_the_service(visit: Visits) -> None:
     here = visit()
     here.refusals = 1
@@ -167,8 +258,10 @@ def test_what_is_wrong_with_a_recording_is_said(
     soundfile.write(path, recording.T, 16000)
     here = visit()
     here.localize(path)
-    expect(here.page.locator("#warnings strong")).to_have_text("A microphone is silent")
-    expect(here.page.locator("#warnings span")).to_contain_text("2")
+    beside = here.page.locator(".readout #window-warnings")
+    expect(beside.locator("strong")).to_have_text("A microphone is silent")
+    expect(beside.locator("span")).to_contain_text("2")
+    expect(here.page.locator("#warnings-section")).to_be_hidden()
 
 
 def test_a_dropped_file_is_taken_and_its_name_is_no_markup(visit: Visits) -> None:

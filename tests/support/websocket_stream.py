@@ -25,14 +25,16 @@ START = {
 SECOND = np.random.default_rng(0).integers(-300, 300, (16000, 4)).astype("<i2").tobytes()
 
 
-def address(service: RunningService) -> str:
-    return service.url.replace("http", "ws") + "/stream"
+def address(service: RunningService, path: str = "/stream") -> str:
+    return service.url.replace("http", "ws") + path
 
 
 @asynccontextmanager
-async def opened(service: RunningService, **options: Any) -> AsyncIterator[ClientConnection]:
+async def opened(
+    service: RunningService, path: str = "/stream", **options: Any
+) -> AsyncIterator[ClientConnection]:
     arguments = {"subprotocols": ["doa.v1"], "compression": None, "close_timeout": 1, **options}
-    async with asyncio.timeout(PATIENCE), connect(address(service), **arguments) as socket:
+    async with asyncio.timeout(PATIENCE), connect(address(service, path), **arguments) as socket:
         yield socket
 
 

@@ -57,6 +57,8 @@ def test_an_empty_variable_is_one_not_given(monkeypatch: pytest.MonkeyPatch) -> 
         ("NEURALMUSIC_MAX_SECONDS", "0", "max_seconds must be greater than 0"),
         ("NEURALMUSIC_MAX_SECONDS", "nan", "max_seconds must be at most 86400"),
         ("NEURALMUSIC_MAX_SECONDS", "an hour", "max_seconds must be a number"),
+        ("NEURALMUSIC_PEERS", "neuralmusic", "peers must be HOST:PORT, several by commas"),
+        ("NEURALMUSIC_PEERS", "a:8000,b:0", "peers must be HOST:PORT"),
         ("NEURALMUSIC_LOG_LEVEL", "loud", "log_level must be one of 'critical', 'error'"),
         ("NEURALMUSIC_MAX_UPLOAD", "1", "did you mean NEURALMUSIC_MAX_UPLOAD_BYTES?"),
         ("NEURALMUSIC_PROT", "", "did you mean NEURALMUSIC_PORT?"),
@@ -134,6 +136,7 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
     examples = {"host": "::1", "models": "/m", "default_model": "w", "log_level": "debug"}
     examples |= {"log_format": "json", "traces": "http://collector:4318"}
     examples |= {"hosts": "robot.local, doa.example", "keys": "/k"}
+    examples |= {"peers": "neuralmusic:8000, [::1]:9000,"}
     examples |= {"proxies": "10.0.0.0/8, 192.0.2.1", "stream_bytes_per_s": "65536"}
     examples |= {"noise_folder": "/n", "stream_buffer_s": "2.5", "origins": "http://a,http://b"}
     for name, field in Settings.model_fields.items():
@@ -168,6 +171,7 @@ def test_every_setting_can_be_set_by_its_variable_and_says_what_it_is(
         "idle_timeout_s": 2048.0,
         "max_session_s": 2048.0,
         "origins": ("http://a", "http://b"),
+        "peers": (("neuralmusic", 8000), ("::1", 9000)),
         "hosts": ("robot.local", "doa.example"),
         "keys": Path("/k"),
         "noise_folder": Path("/n"),

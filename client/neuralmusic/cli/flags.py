@@ -78,7 +78,7 @@ def add_choices(parser: Arguments) -> None:
     """``--method``, ``--model`` and further flags that recordings and streams share."""
     add = parser.add_argument
     add("--method", choices=METHODS, help="neural where a model fits the array")
-    add("--model", metavar="NAME", help="the model bundle")
+    add("--model", metavar="NAME", help="the model; the default is the best that fits the array")
     add("--num-sources", metavar="M", help="the known number of sources")
     add("--max-sources", metavar="M", help="most sources, where their number is estimated")
     add("--yaw", dest="yaw_deg", metavar="DEGREES", help="how far the array is turned on the robot")

@@ -101,7 +101,7 @@ class Start(Message):
     taken as it is, and the channels of the preset's firmware are mapped by `raw_channels` of `GET
     /arrays`, with the warning `channel_map_assumed`"""
     model: Annotated[str, Field(min_length=1, max_length=64)] = "default"
-    """A model's name (`GET /models`); `default` is the first that fits the array"""
+    """A model's name (`GET /models`); `default` is the best one that fits the array"""
     method: Optional[Method] = None
     """Null is `neural` where a model fits the array, else `norm_music`"""
     hemisphere: Hemisphere = "both"

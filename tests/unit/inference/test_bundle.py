@@ -22,8 +22,9 @@ from neuralmusic.errors import (
     UnknownModel,
 )
 from service.doa.presets import preset
-from service.inference.bundle import FILES, Bundle, file_sha256, load_bundle
+from service.inference.bundle import FILES, file_sha256, load_bundle, read_manifest
 from service.inference.engine import Engine
+from service.inference.manifest import Manifest
 from service.inference.npz import read_npz
 from service.inference.registry import (
     EMBEDDED_MODELS,
@@ -231,14 +232,31 @@ def test_the_default_bundle_is_preferred_where_it_fits(folder: Path, default: st
 
 
 def test_of_the_embedded_bundles_the_one_with_the_smallest_error_answers(folder: Path) -> None:
-    def scored(name: str, **errors: float) -> Bundle:
+    def scored(name: str, **errors: float) -> Manifest:
         cells = {cell: {"maae_deg": error} for cell, error in errors.items()}
         edit(folder, lambda fields: fields.update(name=name, scores={"cells": cells}))
-        return load_bundle(folder)
+        return read_manifest(folder)[0]
 
-    bundles = [scored("worse", a=2.0, b=3.0), scored("better", a=1.0, b=3.5, c=90.0)]
-    assert [bundle.manifest.name for bundle in by_error(bundles)] == ["better", "worse"]
+    manifests = [scored("worse", a=2.0, b=3.0), scored("better", a=1.0, b=3.5, c=90.0)]
+    assert [manifest.name for manifest in by_error(manifests)] == ["better", "worse"]
     assert by_error([]) == []
+
+
+@pytest.mark.parametrize(
+    ("purpose", "names"),
+    [
+        ("localization", ["mine", "any-array", "paper"]),
+        ("comparison", ["any-array", "mine", "paper"]),
+    ],
+)
+def test_models_to_compare_with_come_after_those_to_use(
+    folder: Path, purpose: str, names: list[str]
+) -> None:
+    edit(folder, lambda fields: fields.update(name="mine", purpose=purpose))
+    registry = BundleRegistry.load([folder])
+    assert [bundle.manifest.name for bundle in registry.bundles] == names
+    answers = registry.for_array(preset("respeaker-usb-4mic-v2"))
+    assert answers is registry.bundles[0]
 
 
 def test_a_users_bundle_hides_the_embedded_one_of_its_name_wherever_it_lies(folder: Path) -> None:
