@@ -14,8 +14,8 @@ import httpx2
 import numpy as np
 import pytest
 from bench.fleet import RECORDING, fleet, until
+from bench.requests_by_hand import BODY, HEAD
 from bench.served import Served
-from faults.requests_by_hand import BODY, HEAD
 
 pytestmark = pytest.mark.faults
 
