@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import threading
 import time
@@ -276,6 +277,24 @@ def test_hundreds_who_connect_and_vanish_leave_nothing_behind(service: RunningSe
     asyncio.run(run())
     settle(service)
     assert threading.active_count() <= threads + 1
+
+
+def test_a_stream_that_ended_keeps_results_and_no_connection(service: RunningService) -> None:
+    async def run() -> str:
+        async with opened(service) as socket:
+            ready = await started(socket)
+            await socket.send(SECOND[:65_536])
+            await until(socket, "result")
+            return str(ready["session"])
+
+    ident = asyncio.run(run())
+    settle(service)
+    rows = httpx2.get(f"{service.url}/sessions/{ident}/export?format=jsonl").text.splitlines()
+    assert json.loads(rows[0])["t_end"] == pytest.approx(0.1)
+    deadline = time.monotonic() + PATIENCE
+    while any(isinstance(each, stream_api.Connection) for each in gc.get_objects()):
+        assert time.monotonic() < deadline
+        gc.collect()
 
 
 def test_a_session_can_be_watched_listed_and_exported(service: RunningService) -> None:
