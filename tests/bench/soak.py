@@ -126,6 +126,7 @@ class Soak:
         for ended in await asyncio.gather(*tasks, return_exceptions=True):
             if isinstance(ended, Exception):
                 raise ended
+        await asyncio.wait([self.attack])  # a thread cannot be cancelled
         for number in list(self.robots):
             await self._leave(number)
         return before, await self._at_rest()
@@ -237,7 +238,10 @@ class Soak:
     async def _attack(self, attack: Attack) -> None:
         """In a thread: the robots shall not wait for the attacker's own work."""
         choice = random.Random(self.random.random())
-        await asyncio.to_thread(lambda: asyncio.run(attack(self.service.port, choice)))
+        self.attack = asyncio.ensure_future(
+            asyncio.to_thread(lambda: asyncio.run(attack(self.service.port, choice)))
+        )
+        await self.attack
 
     async def _kill_stream_worker(self) -> None:
         self._kill("workers.stream")
