@@ -27,6 +27,7 @@ from service.connections.places import Places
 from service.connections.websocket import StreamProtocol
 from service.lifecycle import Phase
 from service.machine.files import file_limit, out_of_files, raise_file_limit
+from service.machine.memory import share_one_heap
 from service.observability.logs import RareLine, configure_logging, server_log_level
 from service.settings import Settings
 from service.startup import load_registry
@@ -133,6 +134,7 @@ def serve(settings: Settings, announce: Callable[[str], None] | None = None) -> 
     WorkerLost
         If a worker process does not come up.
     """
+    share_one_heap()
     configure_logging(settings)
     raise_file_limit()
     warn_if_open(settings)

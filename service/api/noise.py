@@ -136,7 +136,7 @@ async def put_noise(request: Request, name: Name) -> NoiseAnswer:
     "/noise/{name}",
     summary="Delete a noise profile",
     status_code=HTTPStatus.NO_CONTENT,
-    responses=NOT_FOUND | problem_responses(DiskFull),
+    responses=NOT_FOUND | problem_responses(DiskFull, TooManyConnections),
 )
 async def delete_noise(request: Request, name: Name) -> None:
     """Forget a profile."""
@@ -145,7 +145,7 @@ async def delete_noise(request: Request, name: Name) -> None:
     except UnknownNoise as error:
         raise HTTPException(HTTPStatus.NOT_FOUND) from error
     except OSError as error:
-        raise DiskFull("the file of the profile cannot be deleted: try again later") from error
+        raise unstored(error, "deletion") from error
 
 
 def _store(request: Request) -> NoiseStore:

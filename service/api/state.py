@@ -39,6 +39,8 @@ TEND_S = 1.0
 """Seconds between looks for workers that ended"""
 MOST_TEND_S = 30.0
 """The same while none comes up"""
+QUIET_LOOKS = 3
+"""Looks at a service without streams and uploads after which what they took is given back"""
 
 
 @dataclass(slots=True)
@@ -145,11 +147,13 @@ class ServiceState:
         log.info("the models are loaded: %s", self.registry)
         await asyncio.gather(self.stream_workers.start(), self.recording_workers.start())
         self._tending = asyncio.create_task(self._tend())
-        give_back_memory()  # what loading and the self-test took
 
     async def _tend(self) -> None:
-        """Replace workers that end between two looks; the seldomer, the longer there is none."""
-        pause = TEND_S
+        """Replace workers that end between two looks; the seldomer, the longer there is none.
+
+        Some time after the last stream or upload, give back the memory that they took.
+        """
+        pause, quiet = TEND_S, 0
         while True:
             await asyncio.sleep(pause)
             try:
@@ -159,6 +163,10 @@ class ServiceState:
             except OSError as error:
                 log.error("no worker can be started: %s", error)
             pause = TEND_S if self._has_workers else min(2 * pause, MOST_TEND_S)
+            busy = self.streams.running or self.recording_workers.admitted
+            quiet = 0 if busy else quiet + 1
+            if quiet == QUIET_LOOKS:
+                give_back_memory()
 
     @property
     def _has_workers(self) -> bool:

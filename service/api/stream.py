@@ -32,7 +32,6 @@ from service.api.outbox import Outbox, message_json
 from service.api.problems import problem_response
 from service.api.state import ServiceState
 from service.api.stream_watch import StreamWatch
-from service.machine.memory import give_back_memory
 from service.observability.logs import session_id
 from service.streaming.calibrations import keep, with_noise
 from service.streaming.reporter import Reporter, SessionLimits
@@ -142,8 +141,6 @@ class Connection:
             self._worker.submit(Close(self.session.id))
             self._stream_workers.release(self._worker)
             self._streams.end(self._entry)
-            if not self._streams.running:
-                give_back_memory()
             self._watch.ended(self._entry.client)
 
     def act(self, step: Callable[[], None]) -> None:

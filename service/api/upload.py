@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import logging
 from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
@@ -24,6 +26,7 @@ from neuralmusic.errors import (
 )
 from service.api.spool import Arrival, Spool
 from service.machine.files import TOO_MANY_FILES, out_of_files
+from service.observability.logs import RareLine
 
 FIELD = "audio"
 MAX_FIELDS = 32
@@ -32,6 +35,10 @@ MAX_FIELD_BYTES = 64 * 2**10
 
 PIECE_BYTES = 2**20
 """Least bytes of a body in a piece: each piece crosses to a thread that writes it to the disk"""
+
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
+"""Errors that pass by themselves; what else a disk says is for the operator"""
+told = RareLine(logging.getLogger(__name__))
 
 HOW = "send the recording as multipart field 'audio' (curl -F audio=@recording.wav)"
 
@@ -115,7 +122,10 @@ def unstored(error: OSError, what: str) -> DoaError:
     """Why something that a client sent cannot be kept."""
     if out_of_files(error):
         return TooManyConnections(TOO_MANY_FILES)
-    return DiskFull(f"there is no room to store the {what}: try again later")
+    if error.errno in NO_ROOM:
+        return DiskFull(f"there is no room to store the {what}: try again later")
+    told.warning("what clients send cannot be stored: %s", error)
+    return DiskFull(f"the {what} cannot be stored: the service's log says why, tell its operator")
 
 
 def _media_type(request: Request) -> str:

@@ -17,6 +17,8 @@ from service.connections.places import Places
 
 PIECE_BYTES = 4096
 """Parsed without looking at the clock: at most 700 frames of a WebSocket"""
+TURN_BYTES = 4 * PIECE_BYTES
+"""Parsed before others have their turn: with hundreds of uploads, a robot waits for all of them"""
 LINGER_S = 30.0
 """Seconds in which a refused client may go on sending before its socket is closed"""
 LINGER_BYTES_PER_S = 64 * 2**20
@@ -192,8 +194,12 @@ class ClientSocket(asyncio.Protocol, asyncio.Transport):
         self._hand_on()
 
     def _hand_on(self) -> None:
-        """Hand on what came, until the protocol has had enough."""
+        """Hand on what came, until the protocol has had enough or it is others' turn."""
+        turn = len(self._unread) - TURN_BYTES
         while self._unread and not (self._held or self._closed):
+            if len(self._unread) <= turn:
+                self._waiting = self._loop.call_soon(self._go_on)
+                break
             piece = bytes(self._unread[:PIECE_BYTES])
             del self._unread[:PIECE_BYTES]
             self._spoken.data_received(piece)

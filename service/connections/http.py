@@ -93,6 +93,12 @@ class HttpProtocol(H11Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Take bytes of a request."""
+        if self.conn.their_state is h11.DONE and len(self.conn.trailing_data[0]) > HEAD_BYTES:
+            # Requests behind one that is being answered: whether its client is still there can
+            # only be told by reading on, and what is read has to stay somewhere.
+            self.cycle.keep_alive = False
+            self.flow.pause_reading()
+            return
         super().data_received(data)
         self._lines.spend(self.conn.lines, self.loop.time())
         self.conn.lines = 0

@@ -109,7 +109,7 @@ def _profile(fields: Mapping[str, Any]) -> NoiseCovariance:
     try:
         array = MicrophoneArray(name, fields["positions"], "a noise profile")
     except InvalidGeometry as error:
-        raise NoiseProfileInvalid(f"the profile's {error.detail}") from error
+        raise NoiseProfileInvalid(f"in the profile's array {error.detail}") from error
     covariance = fields["covariance"]
     if covariance.shape != (stft.num_bins, array.num_microphones, array.num_microphones):
         raise NoiseProfileInvalid(

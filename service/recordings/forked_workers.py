@@ -8,6 +8,7 @@ bundle's memory with it and load nothing; the inputs' arrays reach them through 
 from __future__ import annotations
 
 import ctypes
+import logging
 import mmap
 import os
 import pickle
@@ -18,11 +19,14 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain, count, islice
 from multiprocessing import get_context
 from typing import Any, TypeVar
 
 from neuralmusic.errors import WorkerLost
+
+log = logging.getLogger(__name__)
 
 InputT = TypeVar("InputT")
 ResultT = TypeVar("ResultT")
@@ -94,8 +98,8 @@ def in_order(
 ) -> Iterator[tuple[InputT, ResultT]]:
     """Yield every input with its result; at most two inputs per process are in work meanwhile.
 
-    With one process, or few inputs, the caller itself does the work. Results must not be views of
-    the inputs' arrays.
+    With one process, or few inputs, the caller itself does the work; so it does on a system without
+    semaphores (``/dev/shm``). Results must not be views of the inputs' arrays.
 
     Raises
     ------
@@ -105,15 +109,15 @@ def in_order(
     inputs = iter(inputs)
     alone = processes == 1 or sys.platform != "linux"  # other systems' libraries fail in a fork
     first = list(islice(inputs, 0 if alone else FEW))
-    if len(first) < FEW:
+    most = AHEAD * processes
+    pool = None
+    if len(first) == FEW:
+        mailbox = Mailbox(most + 1, max(map(size_of, first)))
+        pool = _pool(processes, partial(_take_up, work, mailbox, os.getpid()))
+    if pool is None:
         for each in chain(first, inputs):
             yield each, work(each)
         return
-    most = AHEAD * processes
-    mailbox = Mailbox(most + 1, max(map(size_of, first)))
-    pool = ProcessPoolExecutor(
-        processes, get_context("fork"), _take_up, (work, mailbox, os.getpid())
-    )
     ahead: deque[tuple[InputT, Future[ResultT]]] = deque()
     try:
         for number, each in zip(count(), chain(first, inputs)):
@@ -127,6 +131,15 @@ def in_order(
         raise WorkerLost("a process that localized this recording ended: send it again") from error
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def _pool(processes: int, take_up: Callable[[], None]) -> ProcessPoolExecutor | None:
+    """The helpers, None where the system has no semaphores for them."""
+    try:
+        return ProcessPoolExecutor(processes, get_context("fork"), take_up)
+    except OSError as error:
+        log.warning("recordings are localized by one process: %s (is /dev/shm there?)", error)
+        return None
 
 
 def _take_up(work: Callable[[InputT], ResultT], mailbox: Mailbox, parent: int) -> None:

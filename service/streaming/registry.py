@@ -126,7 +126,8 @@ class SessionRegistry:
         return entry
 
     def end(self, entry: SessionEntry) -> None:
-        """Remove a session; its results, if any, stay for a while."""
+        """Remove a session; its results, if any, stay for a while, its connection does not."""
+        entry.act = entry.reporter.on_message = _to_nobody
         del self._running[entry.id]
         if not self._running:
             self.empty.set()
@@ -140,3 +141,7 @@ class SessionRegistry:
     def get(self, session_id: str) -> SessionEntry | None:
         """The session with this id, running or ended."""
         return next((entry for entry in self if entry.id == session_id), None)
+
+
+def _to_nobody(_: object) -> None:
+    """Take what has no connection to go to any more."""

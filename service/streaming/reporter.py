@@ -68,7 +68,7 @@ class Reporter:
         self.account = Account()
         self.watched = False
         """Whether the session has watchers: every result then gets its spectrum"""
-        self._on_message = on_message
+        self.on_message = on_message
         self._sequence = 0
         self._warned = -WARNING_S
         self._unreported = 0.0
@@ -78,7 +78,7 @@ class Reporter:
     def emit(self, message: type[ServerMessage], **fields: Any) -> None:
         """Send one message."""
         # Validation would be wasted: the fields come from this package, and results are many.
-        self._on_message(message.model_construct(seq=self._sequence, **fields))
+        self.on_message(message.model_construct(seq=self._sequence, **fields))
         self._sequence += 1
 
     def ready(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import signal
 import threading
 import time
-from collections.abc import Callable, Coroutine
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable, Coroutine
+from contextlib import asynccontextmanager, suppress
 from typing import Any, BinaryIO
 
 import anyio
@@ -25,6 +26,9 @@ log = logging.getLogger(__name__)
 
 CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL}
 """Signals by which a faulty decoder ends a process; other signals come from outside"""
+
+LOOK_S = 1.0
+"""Seconds between two looks whether a recording that waits is still wanted"""
 
 Reserve = Callable[[float], None]
 """Reserves seconds of audio, or raises a DoaError; takes negative ones back"""
@@ -135,6 +139,7 @@ class RecordingWorkers:
     def __init__(
         self, most: int, queue: int, stall_s: float, metrics: Metrics, lifecycle: Lifecycle
     ) -> None:
+        self._turns = asyncio.Semaphore(most)
         self._limiter = anyio.CapacityLimiter(most)
         self._capacity = most + queue
         self._stall_s = stall_s
@@ -181,9 +186,10 @@ class RecordingWorkers:
         self.admitted += 1
         came = time.monotonic()
         try:
-            localized = await anyio.to_thread.run_sync(
-                self._localize, job, file, check, limiter=self._limiter
-            )
+            async with self._turn(still_wanted):
+                localized = await anyio.to_thread.run_sync(
+                    self._localize, job, file, check, limiter=self._limiter
+                )
         except BaseException:
             reserve(-audio_s * (1 - share))
             raise
@@ -243,6 +249,20 @@ class RecordingWorkers:
                 worker.kill()
         for worker in idle:
             worker.end()
+
+    @asynccontextmanager
+    async def _turn(self, still_wanted: StillWanted) -> AsyncIterator[None]:
+        """Wait for a worker to be free, as long as somebody waits for the answer."""
+        turn = asyncio.ensure_future(self._turns.acquire())
+        try:
+            while not turn.done():
+                await asyncio.wait((turn,), timeout=LOOK_S)
+                if not turn.done():
+                    await still_wanted()
+            yield
+        finally:
+            if not turn.cancel():
+                self._turns.release()
 
     def _check_time(self, audio_s: float, began: float) -> None:
         """Raise TooSlow where a recording takes longer than it lasts, and the stall's time."""

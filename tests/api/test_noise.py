@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import io
+import logging
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -16,6 +19,8 @@ from service.doa.presets import preset
 from service.doa.stft import Stft
 from service.doa.whitening import learn_noise
 from service.inference.noise_profile import MAX_BYTES, load_noise, noise_bytes
+from service.inference.noise_store import NoiseStore
+from service.observability.logs import RareLine
 from service.settings import Settings
 
 from .conftest import ARRAY, Localize, Sounds
@@ -64,6 +69,26 @@ def test_a_deleted_profile_is_gone(client: TestClient, profile: bytes) -> None:
     for answer in (client.get("/noise/gone"), client.delete("/noise/gone")):
         assert answer.status_code == 404
         assert answer.json()["code"] == "not_found"
+
+
+@pytest.mark.parametrize("method", ["put", "delete"])
+def test_a_disk_that_refuses_is_named_to_the_operator_alone(
+    client: TestClient,
+    profile: bytes,
+    monkeypatch: pytest.MonkeyPatch,
+    written_log: io.StringIO,
+    method: str,
+) -> None:
+    monkeypatch.setattr("service.api.upload.told", RareLine(logging.getLogger("service")))
+    refuses = OSError(errno.EROFS, "Read-only file system", "/operators/folder")
+    monkeypatch.setattr(NoiseStore, method, Mock(side_effect=refuses))
+    for _ in range(9):
+        answer = client.request(method, "/noise/robot", content=profile)
+        assert (answer.status_code, answer.json()["code"]) == (503, "disk_full")
+        assert "log says why" in answer.json()["detail"]
+        assert "operators" not in answer.text
+    lines = [line for line in written_log.getvalue().splitlines() if "/operators/folder" in line]
+    assert len(lines) == 2  # as text and as JSON
 
 
 @pytest.mark.parametrize("method", ["neural", "norm_music", "srp_phat"])

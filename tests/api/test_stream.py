@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import threading
 import time
@@ -316,6 +317,24 @@ def test_who_watches_late_is_told_what_was_warned_of(service: RunningService) ->
     warned, told = asyncio.run(run())
     assert (told["code"], told["channels"]) == ("channel_dead", [2])
     assert told == warned
+
+
+def test_a_stream_that_ended_keeps_results_and_no_connection(service: RunningService) -> None:
+    async def run() -> str:
+        async with opened(service) as socket:
+            ready = await started(socket)
+            await socket.send(SECOND[:65_536])
+            await until(socket, "result")
+            return str(ready["session"])
+
+    ident = asyncio.run(run())
+    settle(service)
+    rows = httpx2.get(f"{service.url}/sessions/{ident}/export?format=jsonl").text.splitlines()
+    assert json.loads(rows[0])["t_end"] == pytest.approx(0.1)
+    deadline = time.monotonic() + PATIENCE
+    while any(type(each) is stream_api.Connection for each in gc.get_objects()):
+        assert time.monotonic() < deadline
+        gc.collect()
 
 
 def test_a_session_can_be_watched_listed_and_exported(service: RunningService) -> None:

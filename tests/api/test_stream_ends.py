@@ -1,4 +1,4 @@
-"""Streams whose worker dies or whose service stops."""
+"""Streams whose worker dies or whose service stops, and the memory that streams leave."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import asyncio
 import json
 import os
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any
@@ -13,20 +14,31 @@ from typing import Any
 import pytest
 import websockets
 from running_service import RunningService
-from websocket_stream import SECOND, end, opened, started, until
+from websocket_stream import PATIENCE, SECOND, end, opened, started, until
 
+from service.api import state
 from service.settings import Settings
 
 
 @pytest.fixture
-def service() -> Iterator[RunningService]:
+def given_back() -> Iterator[threading.Event]:
+    """Set when the service gives memory back; it looks every 20 ms."""
+    given = threading.Event()
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(state, "TEND_S", 0.02)
+        patched.setattr(state, "give_back_memory", given.set)
+        yield given
+
+
+@pytest.fixture
+def service(given_back: threading.Event) -> Iterator[RunningService]:
     running = RunningService(settings=Settings(workers=1, stream_workers=1), workers_ahead=True)
     yield running
     running.stop()
 
 
 def test_streams_of_a_worker_that_dies_are_closed_and_the_next_ones_run(
-    service: RunningService,
+    service: RunningService, given_back: threading.Event
 ) -> None:
     async def run() -> tuple[dict[str, Any], int | None, dict[str, Any]]:
         async with opened(service) as first:
@@ -37,12 +49,15 @@ def test_streams_of_a_worker_that_dies_are_closed_and_the_next_ones_run(
             last, close_code = await end(first)
         async with opened(service) as second:
             await started(second)
+            given_back.clear()
             await second.send(SECOND[:65_536])
+            assert not given_back.is_set()
             return last, close_code, await until(second, "result")
 
     last, close_code, result = asyncio.run(run())
     assert (last["code"], last["retryable"], close_code) == ("worker_lost", True, 1011)
     assert result["t_end"] == pytest.approx(0.1)
+    assert given_back.wait(PATIENCE)
 
 
 def test_a_stopping_service_says_goodbye_takes_nobody_new_and_ends_its_workers(

@@ -53,7 +53,7 @@ class Process:
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 text=True,
-                env={**os.environ, "PYTHONPATH": str(ROOT)},
+                env={**os.environ, "PYTHONPATH": f"{ROOT / 'client'}:{ROOT}"},
             )
         self.pid = self._process.pid
         assert self._process.stdout is not None

@@ -23,13 +23,16 @@ import random
 import signal
 import sys
 import time
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import httpx2
 import numpy as np
+from attacks import ATTACKS, Attack
 from fleet import ARRAY, RECORDING, Robot, until
 from reliability import write_table
 from scipy.stats import theilslopes
@@ -46,6 +49,10 @@ TELLS_SLOPES_S = 600.0
 MB_AT_REST = 20.0
 RELOADS = 5
 """Reloads after which the allocator has all that reloads ever fragment (measured: 40 MB)"""
+SIGNALS = 50
+"""SIGHUPs at once, which are two reloads at most"""
+PAUSE_S = 2.0, 5.0
+"""Least and most seconds between two faults"""
 SETTLE_S = 60.0
 OPTIONS = (
     {"interval_ms": 50},
@@ -119,6 +126,7 @@ class Soak:
         for ended in await asyncio.gather(*tasks, return_exceptions=True):
             if isinstance(ended, Exception):
                 raise ended
+        await asyncio.wait([self.attack])  # a thread cannot be cancelled
         for number in list(self.robots):
             await self._leave(number)
         return before, await self._at_rest()
@@ -132,6 +140,7 @@ class Soak:
         task = asyncio.create_task(robot.run())
         await until(lambda: len(robot.heard) >= 10, "the first robot hears")
         await self._post()
+        await asyncio.gather(*map(self._attack, ATTACKS.values()))
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
 
@@ -210,20 +219,29 @@ class Soak:
         self.uploads[key] = self.uploads.get(key, 0) + 1
 
     async def _break(self) -> None:
-        """One fault every ten to twenty seconds, the same kinds again and again."""
-        faults = {
+        """One fault or attack every few seconds, the same kinds again and again."""
+        faults: dict[str, Callable[[], Awaitable[None]]] = {
             "stream worker killed": self._kill_stream_worker,
             "recording worker killed": self._kill_recording_worker,
             "connection reset": self._reset,
             "bad messages": self._bad_messages,
             "bundles reloaded": self._reload,
+            **{name: partial(self._attack, attack) for name, attack in ATTACKS.items()},
         }
         while True:
             for name, fault in self.random.sample(sorted(faults.items()), len(faults)):
-                await asyncio.sleep(self.random.uniform(5, 10))
-                await fault()
-                if fault != self._reload:
+                await asyncio.sleep(self.random.uniform(*PAUSE_S))
+                if fault != self._reload or time.monotonic() - self.began < self.warm_s:
+                    await fault()
                     self.faults[name] = self.faults.get(name, 0) + 1
+
+    async def _attack(self, attack: Attack) -> None:
+        """In a thread: the robots shall not wait for the attacker's own work."""
+        choice = random.Random(self.random.random())
+        self.attack = asyncio.ensure_future(
+            asyncio.to_thread(lambda: asyncio.run(attack(self.service.port, choice)))
+        )
+        await self.attack
 
     async def _kill_stream_worker(self) -> None:
         self._kill("workers.stream")
@@ -259,9 +277,9 @@ class Soak:
             await wrong.run()
 
     async def _reload(self) -> None:
-        if time.monotonic() - self.began < self.warm_s:
+        for _ in range(SIGNALS):
             self.service.process.send_signal(signal.SIGHUP)
-            self.faults["bundles reloaded"] = self.faults.get("bundles reloaded", 0) + 1
+            await asyncio.sleep(0)
 
 
 def judged(soak: Soak, before: Footprint, after: Footprint) -> list[dict[str, Any]]:

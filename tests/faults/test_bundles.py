@@ -42,7 +42,7 @@ def test_corrupt_bundle_at_the_start(figures: Callable[..., None], models: Path,
     began = time.monotonic()
     ended = subprocess.run(
         [COMMAND, "serve", "--port", "0", "--models", models / "copy"],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env={**os.environ, "PYTHONPATH": f"{ROOT / 'client'}:{ROOT}"},
         capture_output=True,
         text=True,
         timeout=60,

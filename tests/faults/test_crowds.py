@@ -13,15 +13,16 @@ from contextlib import ExitStack
 import httpx2
 import numpy as np
 import pytest
-from bench.fleet import fleet, until
+from bench.fleet import RECORDING, fleet, until
+from bench.requests_by_hand import BODY, HEAD
 from bench.served import Served
-from faults.requests_by_hand import BODY
 
 pytestmark = pytest.mark.faults
 
 IDLE = 5000
 FILES = 1024
 FEW_FILES = 64
+UPLOADS = 200
 ANSWER_S = 0.5
 """Seconds without a word, after which an upload is being read"""
 ROBOTS = 2
@@ -78,6 +79,53 @@ def test_idle_connections(figures: Callable[..., None]) -> None:
     assert lost_s == 0
     assert p99 < MOST_LAG_MS
     assert lines < 10
+
+
+async def upload(port: int, request: bytes) -> bytes:
+    """What one upload is answered."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    writer.write(request)
+    try:
+        return await reader.read()
+    finally:
+        writer.close()
+
+
+def test_uploads_at_once(figures: Callable[..., None]) -> None:
+    audio = RECORDING.read_bytes()
+    request = HEAD + b"Connection: close\r\nContent-Type: audio/flac\r\nContent-Length: %d\r\n\r\n"
+    request = request % len(audio) + audio
+
+    async def crowd(port: int) -> list[bytes]:
+        return await asyncio.gather(*(upload(port, request) for _ in range(UPLOADS)))
+
+    async def scenario(service: Served) -> tuple[list[bytes], float, list[float]]:
+        async with fleet(service.url, ROBOTS) as robots:
+            began = time.monotonic()
+            answers = await asyncio.to_thread(lambda: asyncio.run(crowd(service.port)))
+            assert all(robot.cut == 0 for robot in robots)
+            lags = [lag for robot in robots for lag in robot.lags_ms(began)]
+            return answers, max(robot.lost_s(began) for robot in robots), lags
+
+    with Served("--stream-workers", "1") as service:
+        answers, lost_s, lags = asyncio.run(scenario(service))
+        again = asyncio.run(upload(service.port, request))
+        log = service.log
+    statuses = Counter(each[9:12].decode() for each in answers)
+    p99 = np.percentile(lags, 99)
+    figures(
+        f"{UPLOADS} uploads at once, {ROBOTS} robots beside them",
+        answers=dict(statuses),
+        others=f"{lost_s:.1f} s lost, lag p99 {p99:.0f} ms",
+    )
+    assert set(statuses) == {"200", "503"}
+    refused = [each for each in answers if each.startswith(b"HTTP/1.1 503 ")]
+    assert all(b'"code":"overloaded"' in each for each in refused)
+    assert all(b"retry-after: " in each for each in refused)
+    assert again.startswith(b"HTTP/1.1 200 ")
+    assert lost_s == 0
+    assert p99 < MOST_LAG_MS
+    assert "Traceback" not in log
 
 
 def test_uploads_beyond_the_files(figures: Callable[..., None]) -> None:

@@ -9,9 +9,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from bench.fleet import Robot, fleet
+from bench.requests_by_hand import FLOODS, pour
 from bench.served import Served
-from faults.requests_by_hand import HANDSHAKE, HEAD, START, send
-from websockets.frames import Frame, Opcode
 
 pytestmark = pytest.mark.faults
 
@@ -20,54 +19,15 @@ FLOOD_S = 5.0
 MOST_LAG_MS = 250
 
 
-def wire(opcode: Opcode, payload: bytes = b"", *, fin: bool = True) -> bytes:
-    """A client's frame, again and again."""
-    return Frame(opcode, payload, fin=fin).serialize(mask=True) * 2000
-
-
-CHUNKED = HEAD + b"Content-Type: audio/wav\r\nTransfer-Encoding: chunked\r\n\r\n"
-BEGUN = HANDSHAKE + Frame(Opcode.TEXT, b" ", fin=False).serialize(mask=True)
-FLOODS = {
-    "pings": (HANDSHAKE, wire(Opcode.PING)),
-    "pings of 125 bytes, never read": (HANDSHAKE, wire(Opcode.PING, bytes(125))),
-    "pongs": (HANDSHAKE, wire(Opcode.PONG)),
-    "empty fragments": (BEGUN, wire(Opcode.CONT, fin=False)),
-    "fragments of one byte": (BEGUN, wire(Opcode.CONT, b" ", fin=False)),
-    "messages": (HANDSHAKE + START, wire(Opcode.TEXT, b'{"type":"ping","id":"1"}')),
-    "sample frames one by one": (HANDSHAKE + START, wire(Opcode.BINARY, bytes(8))),
-    "chunks of one byte": (CHUNKED, b"1\r\na\r\n" * 2000),
-    "headers": (b"GET /livez HTTP/1.1\r\nHost: x\r\n", b"a:\r\n" * 3000),
-    "requests": (b"", b"GET /livez HTTP/1.1\r\nHost: x\r\n\r\n" * 100),
-}
-"""What is sent once, and what is sent without a pause from then on"""
-
-
-async def pour(port: int, first: bytes, flood: bytes) -> float:
-    """Send for some seconds, reconnecting; megabytes that the service let through."""
-    sent, ends = 0, time.monotonic() + FLOOD_S
-    while time.monotonic() < ends:
-        reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=2**10)
-        try:
-            await send(reader, writer, first)
-            async with asyncio.timeout_at(asyncio.get_running_loop().time() + FLOOD_S):
-                while time.monotonic() < ends:
-                    writer.write(flood)
-                    await writer.drain()
-                    sent += len(flood)
-        except (ConnectionError, TimeoutError, asyncio.IncompleteReadError):
-            pass
-        finally:
-            writer.transport.abort()
-    return sent / 2**20
-
-
 @pytest.mark.parametrize("kind", FLOODS)
 def test_flood(figures: Callable[..., None], kind: str) -> None:
     async def scenario(service: Served) -> tuple[list[Robot], float, float]:
         async with fleet(service.url, ROBOTS) as robots:
             began = time.monotonic()
             # In a thread: the robots shall not wait for the attacker's own work.
-            sent = await asyncio.to_thread(lambda: asyncio.run(pour(service.port, *FLOODS[kind])))
+            sent = await asyncio.to_thread(
+                lambda: asyncio.run(pour(service.port, *FLOODS[kind], FLOOD_S))
+            )
             return robots, began, sent
 
     with Served("--stream-workers", "1", "--workers", "1") as service:

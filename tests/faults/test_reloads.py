@@ -62,7 +62,7 @@ def test_a_port_that_is_taken(figures: Callable[..., None]) -> None:
         began = time.monotonic()
         ended = subprocess.run(
             [COMMAND, "serve", "--port", port],
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            env={**os.environ, "PYTHONPATH": f"{ROOT / 'client'}:{ROOT}"},
             capture_output=True,
             text=True,
             timeout=60,

@@ -12,8 +12,8 @@ import httpx2
 import numpy as np
 import pytest
 from bench.fleet import ARRAY, RECORDING, Robot, fleet, until
+from bench.requests_by_hand import BODY, HANDSHAKE, HEAD, START, UPGRADE, frame, send
 from bench.served import Footprint, Served
-from faults.requests_by_hand import BODY, HANDSHAKE, HEAD, START, UPGRADE, frame, send
 
 pytestmark = pytest.mark.faults
 

@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import pytest
 from bench.fleet import fleet, until
+from bench.requests_by_hand import BODY, HANDSHAKE, START, UPGRADE, frame, send
 from bench.served import Footprint, Served
-from faults.requests_by_hand import BODY, HANDSHAKE, START, UPGRADE, frame, send
 
 pytestmark = pytest.mark.faults
 

@@ -53,7 +53,7 @@ class Served:
         self.log = folder / "log"
         environment = {
             **os.environ,
-            "PYTHONPATH": str(ROOT),
+            "PYTHONPATH": f"{ROOT / 'client'}:{ROOT}",
             "TMPDIR": str(self._temporary),
             "NEURALMUSIC_LOG_LEVEL": "warning",
             **{f"NEURALMUSIC_{name.upper()}": value for name, value in settings.items()},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import multiprocessing
 import os
 import select
@@ -9,6 +10,8 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from multiprocessing.synchronize import SemLock
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -39,6 +42,17 @@ def test_few_inputs_and_one_process_are_the_callers_own(count: int, processes: i
     done = list(in_order(where, range(count), processes))
     assert [given for given, _ in done] == list(range(count))
     assert {pid for _, (_, pid) in done} <= {os.getpid()}
+
+
+def test_where_the_system_has_no_semaphores_the_caller_works_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A container without ``/dev/shm``."""
+    lacks = OSError(errno.ENOENT, "No such file or directory")
+    monkeypatch.setattr(SemLock, "__init__", Mock(side_effect=lacks))
+    done = list(in_order(where, range(MANY), 2))
+    assert [given for given, _ in done] == list(range(MANY))
+    assert {pid for _, (_, pid) in done} == {os.getpid()}
 
 
 def test_work_need_not_be_pickled_and_arrays_are_as_they_were() -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -345,3 +347,16 @@ def test_a_calibration_that_cannot_be_is_a_warning_and_the_stream_goes_on(
     assert words in warning["detail"]
     assert [result["t_end"] for result in driver.all("result")] == pytest.approx([0.5, 1, 1.5, 2])
     assert not store.all()
+
+
+def test_noise_that_cannot_be_stored_is_used_and_no_path_is_told(
+    new_session: NewSession, store: NoiseStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refuses = OSError(errno.EROFS, "Read-only file system", "/operators/folder")
+    monkeypatch.setattr(store, "put", Mock(side_effect=refuses))
+    driver = new_session()
+    driver.send(start(client="robot", output={"interval_ms": 500}))
+    driver.send({"type": "calibrate", "kind": "noise", "seconds": 1})
+    driver.audio(pcm(0.01 * np.random.default_rng(0).standard_normal((4, 2 * RATE))))
+    assert driver.only("warning")["detail"].endswith("was not stored: Read-only file system")
+    assert driver.only("calibrated")["name"] is None
