@@ -17,6 +17,7 @@ const MINOR = {
 /** Warnings under which directions may be wrong. */
 const SERIOUS = {
   channel_dead: "A microphone is silent",
+  length_unknown: "The recording's length is not known",
   channels_identical: "Channels are copies",
   channel_late: "A channel comes late",
   channel_order: "Channels seem swapped",
