@@ -9,6 +9,7 @@ const MINOR = {
   clipping: "Clipping",
   dc_offset: "Constant offset",
   band_limited: "High frequencies are missing",
+  length_unknown: "The recording's length is not known",
   channel_map_assumed: "The device's channels were assumed",
   no_model_for_array: "No model for this array",
   calibration_failed: "The calibration failed",
@@ -17,7 +18,6 @@ const MINOR = {
 /** Warnings under which directions may be wrong. */
 const SERIOUS = {
   channel_dead: "A microphone is silent",
-  length_unknown: "The recording's length is not known",
   channels_identical: "Channels are copies",
   channel_late: "A channel comes late",
   channel_order: "Channels seem swapped",

@@ -138,7 +138,7 @@ def test_whatever_a_service_says_is_text(visit: Visits, square: MicrophoneArray)
     page.click("#tab-live")
     expect(page.locator("#sessions strong")).to_have_text(MARKUP)
     page.click("#sessions button")
-    expect(page.locator("#live-warnings span")).to_have_text(MARKUP)
+    expect(page.locator("#live-serious span")).to_have_text(MARKUP)
     expect(page.locator("#live-problem .detail")).to_have_text(MARKUP)
     problem = {"title": MARKUP, "detail": MARKUP, "code": MARKUP}
     page.route("**/localize", lambda route: route.fulfill(status=422, json=problem))
