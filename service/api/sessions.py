@@ -60,7 +60,7 @@ class HoldingResponse(StreamingResponse):
             await super().__call__(scope, receive, send)
 
 
-@router.get("/sessions", summary="List the streams")
+@router.get("/sessions", summary="List the streams", responses=problem_responses(InvalidOption))
 async def sessions(request: Request, replicas: Asked = "all") -> SessionsAnswer:
     """Running streams, and ended ones whose results can still be exported.
 
@@ -86,7 +86,7 @@ async def sessions(request: Request, replicas: Asked = "all") -> SessionsAnswer:
             "spectrum",
         },
         **NOT_FOUND,
-        **problem_responses(TooManyWatchers, Overloaded),
+        **problem_responses(TooManyWatchers, Overloaded, InvalidOption),
     },
 )
 async def session_events(

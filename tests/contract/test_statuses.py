@@ -251,8 +251,12 @@ REQUESTS: dict[tuple[str, str, int], Ask] = dict(refusals()) | {
     ("post", "/localize", 500): ask("POST", "/localize", BROKEN, content=b"x"),
     ("post", "/localize", 503): while_busy,
     ("get", "/sessions", 200): ask("GET", "/sessions"),
+    ("get", "/sessions", 422): ask("GET", "/sessions", params={"replicas": "some"}),
     ("get", "/sessions/{session_id}/events", 200): of_a_stream("events"),
     ("get", "/sessions/{session_id}/events", 404): ask("GET", "/sessions/none/events"),
+    ("get", "/sessions/{session_id}/events", 422): of_a_stream(
+        "events", params={"replicas": "some"}
+    ),
     ("get", "/sessions/{session_id}/events", 429): too_many_watchers(
         "service.access.keys.MAX_WATCHERS"
     ),
