@@ -126,7 +126,7 @@ def test_a_lie_over_http_is_one_error_in_time_and_in_little_memory(lie: str) -> 
     with serving(answer) as url, LocalizationClient(url, timeout_s=TIMEOUT_S) as client:
         before, began = peak_mb(), time.monotonic()
         if lie == "no end":
-            client._http._http._timeout_s = 30.0  # type: ignore[attr-defined]  # as fast as it comes
+            client._http._timeout_s = 30.0  # type: ignore[attr-defined]  # as fast as it comes
         with pytest.raises(ClientError, match=words) as caught:
             client.models()
         assert type(caught.value) is kind
