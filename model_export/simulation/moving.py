@@ -29,7 +29,7 @@ VOICED_DB = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Arc:
-    """A path around the array at a constant distance and speed."""
+    """A path around the array at a constant distance, at a constant speed while it goes on."""
 
     begin: float
     """Azimuth in radians at time 0"""
@@ -37,11 +37,22 @@ class Arc:
     """Radians per second, counter-clockwise"""
     distance: float = 1.5
     """Metres from the array's centre"""
+    leaves: float = 0.0
+    """Seconds at which the walk begins"""
+    arrives: float = np.inf
+    """Seconds at which it ends"""
 
     def azimuth(self, time: FloatArray) -> FloatArray:
         """Azimuths in radians in [0, 2 pi) at times in seconds."""
-        azimuth: FloatArray = (self.begin + self.velocity * np.asarray(time)) % (2 * np.pi)
+        gone = np.clip(np.asarray(time), self.leaves, self.arrives) - self.leaves
+        azimuth: FloatArray = (self.begin + self.velocity * gone) % (2 * np.pi)
         return azimuth
+
+    def knots(self, duration: float) -> FloatArray:
+        """Seconds (S,) at which a response is simulated, at most ``STEP`` of the way apart."""
+        begin, end = min(self.leaves, duration), min(self.arrives, duration)
+        turn = abs(self.velocity) * (end - begin)
+        return np.linspace(begin, end, 2 + int(turn / STEP)) if turn else np.zeros(1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,10 +112,8 @@ def simulate_moving(
 def walk(room: RoomSpec, array: MicrophoneArray, talker: Talker) -> FloatArray:
     """Microphone signals (N, T) of one talker, not rescaled after the room."""
     path, num_samples = talker.path, len(talker.speech)
-    turn = abs(path.velocity) * num_samples / SAMPLE_RATE
-    knots = np.linspace(0, num_samples, 2 + int(turn / STEP)) if turn else np.zeros(1)
-    azimuth = path.azimuth(knots / SAMPLE_RATE)
-    places = path.distance * unit_vectors(azimuth)
+    times = path.knots(num_samples / SAMPLE_RATE)
+    knots, places = times * SAMPLE_RATE, path.distance * unit_vectors(path.azimuth(times))
     responses = impulse_responses(room, array.positions, places, longest=RESPONSE_SAMPLES)
     return convolve_moving(talker.speech, responses, knots)
 

@@ -116,6 +116,14 @@ class TrackerParameters:
     """Seconds without detection after which one of two near tracks is merged into the other"""
     most_tracks: int = 8
     """Most tracks at once, tentative ones included, to bound the cost"""
+    memory_s: float = 12.0
+    """Seconds of silence after which a talker is forgotten, who else comes back under the old id"""
+    memory_speed: float = math.radians(8.0)
+    """Radians per second by which a silent talker may have walked"""
+    memory_reach: float = math.radians(35.0)
+    """Radians, bound on that walk and its errors: further away it is somebody else"""
+    most_remembered: int = 16
+    """Most silent talkers that are remembered, the latest ones"""
 
 
 @dataclass(slots=True, eq=False)
@@ -182,6 +190,14 @@ class Hypothesis:
             self.last_active = time
         rate = self.parameters.shadow_rate if passing else self.parameters.miss_rate
         self.evidence -= rate * duration
+
+    def reach(self, begin: float) -> float:
+        """Radians within which this talker may go on talking at a stream time in seconds."""
+        p = self.parameters
+        silence = begin - self.last_heard
+        if silence > p.memory_s:
+            return 0.0
+        return min(p.separation + p.memory_speed * silence, p.memory_reach)
 
     def succeed(self, other: Hypothesis) -> None:
         """Take over the state of another track of the same talker, under this id."""

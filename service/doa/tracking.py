@@ -9,7 +9,8 @@ Directions are unit vectors, on the horizon where only azimuths are heard; angle
 great-circle angles in radians; time is in seconds of the stream. Every update predicts all tracks,
 assigns detections to them by the least total distance, lets unassigned detections begin new ones
 and ends those without evidence. A track is reported from the update in which its existence is
-confirmed: a confident detection confirms it at once, others when they repeat.
+confirmed: a confident detection confirms it at once, others when they repeat. A talker who goes on
+after a long silence near the old place gets the old id.
 """
 
 from __future__ import annotations
@@ -37,10 +38,12 @@ class Tracker:
         self._last_id = 0
         self._time: float | None = None
         self._hypotheses: list[Hypothesis] = []
+        self._remembered: list[Hypothesis] = []
 
     def reset(self) -> None:
         """Forget all tracks and the time; ids continue, so that none is given twice."""
         self._hypotheses = []
+        self._remembered = []
         self._time = None
 
     def update(self, detections: Sequence[Detection], time: float) -> tuple[Track, ...]:
@@ -75,7 +78,7 @@ class Tracker:
                 hypothesis.miss(duration, time, passing=passing[index])
         self._merge(time)
         free = [d for i, d in enumerate(ordered) if i not in set(pairs.values())]
-        self._bury()
+        self._bury(time)
         self._begin(free, time)
         return self._confirmed(time)
 
@@ -161,8 +164,14 @@ class Tracker:
                     older.succeed(younger)
                 younger.evidence = -math.inf
 
-    def _bury(self) -> None:
-        self._hypotheses = [h for h in self._hypotheses if h.evidence > self._parameters.death]
+    def _bury(self, time: float) -> None:
+        """End tracks without evidence; remember the talkers among them for a while."""
+        p = self._parameters
+        dead = [h for h in self._hypotheses if h.evidence <= p.death]
+        self._hypotheses = [h for h in self._hypotheses if h.evidence > p.death]
+        self._remembered += [h for h in dead if h.id is not None and h.evidence > -math.inf]
+        recent = [h for h in self._remembered if time - h.last_heard <= p.memory_s]
+        self._remembered = recent[-p.most_remembered :]
 
     def _begin(self, detections: Sequence[Detection], time: float) -> None:
         """Begin tracks from unassigned detections, most confident first."""
@@ -181,10 +190,23 @@ class Tracker:
     def _confirmed(self, time: float) -> tuple[Track, ...]:
         for hypothesis in self._hypotheses:
             if hypothesis.id is None and hypothesis.evidence >= self._parameters.confirmation:
-                self._last_id += 1
-                hypothesis.id = self._last_id
+                self._name(hypothesis)
         tracks = [h.track(time) for h in self._hypotheses if h.id is not None]
         return tuple(sorted(tracks, key=lambda track: track.id))
+
+
+    def _name(self, hypothesis: Hypothesis) -> None:
+        """Give a confirmed track its id: that of the silent talker it continues, or a new one."""
+        place, begin = hypothesis.filter.direction, hypothesis.born
+        ways = [(angle(place, h.filter.direction), h) for h in self._remembered]
+        near = [(way, h) for way, h in ways if way < h.reach(begin)]
+        if not near:
+            self._last_id += 1
+            hypothesis.id = self._last_id
+            return
+        _, silent = min(near, key=lambda pair: pair[0])
+        self._remembered.remove(silent)
+        hypothesis.id, hypothesis.born = silent.id, silent.born
 
 
 def _ordered(detections: Sequence[Detection]) -> list[Detection]:

@@ -88,9 +88,9 @@ def document(
 
 def bars(tracked: Mapping[str, Tally]) -> tuple[tuple[Bar, str], ...]:
     """The bars of tracking, each with its origin."""
-    still = [cell.name for cell in CELLS if cell.least_voiced == 2]
-    others = [cell.name for cell in CELLS if cell.least_voiced == 1]
-    noises = [name for name in tracked if name not in {*still, *others}]
+    still = [cell.name for cell in CELLS if cell.bars and cell.least_voiced == 2]
+    others = [cell.name for cell in CELLS if cell.bars and cell.least_voiced == 1]
+    noises = [name for name in tracked if name not in {cell.name for cell in CELLS}]
     asked = [
         (Bar(cell, (cell,), "count_right", ("at least", share)), "ODAS")
         for cell, share in zip(still, ODAS_COUNTS, strict=True)
@@ -146,22 +146,23 @@ def _bars(tracked: Mapping[str, Tally]) -> str:
 
 def _talkers(tracked: Mapping[str, Tally], untracked: Mapping[str, Tally]) -> str:
     lines = [
-        "| streams | audio | count right | missed | error | OSPA | identity switches "
-        "| false tracks a minute | first track, median (longest) |",
-        "|" + "---|" * 9,
+        "| streams | audio | count right | missed | error | OSPA | HOTA | identity switches "
+        "| same id after a silence | false tracks a minute | first track, median (longest) |",
+        "|" + "---|" * 11,
     ]
     for cell in CELLS:
         tally, alone = tracked[cell.name], untracked[cell.name].scores()
         found = tally.scores()
         pairs = [
             f"{_shown(score, found[score])} ({_shown(score, alone[score])})"
-            for score in ("count_right", "missed_share", "matched_error_deg", "ospa_deg")
+            for score in ("count_right", "missed_share", "matched_error_deg", "ospa_deg", "hota")
         ]
         columns = (
             cell.name,
             f"{60 * tally.minutes:.0f} s",
             *pairs,
             f"{found['identity_switches']:g}",
+            f"{tally.same_ids} of {tally.returns}" if tally.returns else "–",
             _shown("false_tracks_per_minute", found["false_tracks_per_minute"]),
             f"{found['median_latency_s']:.2f} s ({max(tally.latencies):.2f} s)",
         )
@@ -182,7 +183,7 @@ def _noises(tracked: Mapping[str, Tally], untracked: Mapping[str, Tally]) -> str
 def _shown(score: str, value: float | None) -> str:
     if value is None:
         return "–"
-    if score in {"count_right", "missed_share"}:
+    if score in {"count_right", "missed_share", "hota"}:
         return f"{100 * value:.0f} %"
     if score.endswith("_deg"):
         return f"{value:.1f}°"

@@ -16,6 +16,8 @@ false_tracks_per_minute : ids that belong to no talker in most of their updates.
 count_right : share of updates with as many tracks as voiced talkers.
 ospa_deg : mean OSPA distance in degrees, cut-off 30.
 matched_error_deg : mean error of tracks that belong to a voiced talker.
+hota : mean over the streams of detection and association in one number (``hota.py``).
+same_id : share of talkers who go on after ``SILENCE_S`` or longer under the id they had.
 
 References
 ----------
@@ -31,12 +33,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from model_export.evaluation.tracking.hota import Moment, hota
 from service.doa.scoring import circular_error, detection, match, ospa
 from service.doa.tracking import Track
 from service.doa.types import BoolArray, FloatArray
 
 TOLERANCE = np.deg2rad(20.0)
 MISSED = np.deg2rad(10.0)
+SILENCE_S = 2.5
+"""Least seconds of silence after which a talker returns"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +69,9 @@ class Tally:
     voiced: int = 0
     missed: int = 0
     ospa: float = 0.0
+    returns: int = 0
+    same_ids: int = 0
+    hotas: list[float] = field(default_factory=list)
     errors: list[float] = field(default_factory=list)
     latencies: list[float] = field(default_factory=list)
     """Seconds from a talker's first word to its first track"""
@@ -79,6 +87,10 @@ class Tally:
             found["ospa_deg"] = float(np.rad2deg(self.ospa / self.updates))
         if self.voiced:
             found["missed_share"] = self.missed / self.voiced
+        if self.hotas:
+            found["hota"] = float(np.mean(self.hotas))
+        if self.returns:
+            found["same_id"] = self.same_ids / self.returns
         if self.errors:
             found["matched_error_deg"] = float(np.rad2deg(np.mean(self.errors)))
         if self.latencies:
@@ -102,9 +114,12 @@ def score(stream: Iterable[Update], tally: Tally, *, least_voiced: int = 1) -> N
     last_ids: dict[int, int] = {}
     seen: Counter[int] = Counter()
     owned: Counter[int] = Counter()
+    returns, moments = _Returns(), []
     for update in updates:
         active = [track for track in update.tracks if track.active]
         owners = belongings(active, update.azimuth, owners)
+        returns.add(update, owners, tally)
+        moments.append(_moment(update, active, owners))
         seen.update(track.id for track in active)
         owned.update(owners.keys())
         for track_id, talker in owners.items():
@@ -112,9 +127,49 @@ def score(stream: Iterable[Update], tally: Tally, *, least_voiced: int = 1) -> N
             last_ids[talker] = track_id
         if update.voiced.sum() >= least_voiced:
             _add_update(update, active, owners, tally)
+    tally.hotas.append(hota(moments))
     tally.false_tracks += sum(2 * owned[track_id] <= count for track_id, count in seen.items())
     if len(updates) > 1:
         tally.minutes += (updates[-1].time - updates[0].time) / 60
+
+
+@dataclass(slots=True)
+class _Returns:
+    """Talkers of one stream who go on after a silence, and the ids that they had."""
+
+    heard: dict[int, float] = field(default_factory=dict)
+    """Seconds at which a talker last talked"""
+    ids: dict[int, int] = field(default_factory=dict)
+    """Id that a talker last had while talking"""
+    waiting: dict[int, int] = field(default_factory=dict)
+    """Id that a talker who goes on should have, until a track is there"""
+
+    def add(self, update: Update, owners: Mapping[int, int], tally: Tally) -> None:
+        """Count the talkers who begin again, and those whose first track has the old id."""
+        talking = np.flatnonzero(update.voiced).tolist()
+        for talker in talking:
+            silent = update.time - self.heard.get(talker, update.time)
+            if silent > SILENCE_S and talker in self.ids:
+                self.waiting[talker] = self.ids[talker]
+                tally.returns += 1
+            self.heard[talker] = update.time
+        for track_id, talker in owners.items():
+            if talker in talking:
+                tally.same_ids += self.waiting.pop(talker, None) == track_id
+                self.ids[talker] = track_id
+
+
+def _moment(update: Update, active: Sequence[Track], owners: Mapping[int, int]) -> Moment:
+    """The update without those who rest, and without their tracks."""
+    talking = np.flatnonzero(update.voiced)
+    resting = set(range(len(update.azimuth))) - set(talking.tolist())
+    tracks = [track for track in active if owners.get(track.id) not in resting]
+    return Moment(
+        talkers=talking.tolist(),
+        azimuth=update.azimuth[talking],
+        tracks=[track.id for track in tracks],
+        reported=np.array([track.azimuth for track in tracks]),
+    )
 
 
 def belongings(

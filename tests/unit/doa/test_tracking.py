@@ -187,6 +187,44 @@ def test_a_talker_who_stops_is_gone_after_three_seconds() -> None:
     assert all(tracks for time, tracks in tracked if 0.5 < time < 4.0)
 
 
+@pytest.mark.parametrize(("pause", "same"), [(3.0, True), (6.0, True), (10.0, True), (14.0, False)])
+def test_who_goes_on_at_the_old_place_has_the_old_id(pause: float, same: bool) -> None:
+    tracked = track(heard([paused(still(100), 3.0, 3.0 + pause)], 0.1, 6.0 + pause))
+    assert ids(tracked) == ({1} if same else {1, 2})
+    assert tracked[-1][1][0].born == pytest.approx(tracked[0][0] if same else 3.0 + pause, abs=0.5)
+
+
+def test_those_who_take_turns_keep_their_ids() -> None:
+    first = paused(paused(still(20), 5.0, 10.0), 15.0, 20.0)
+    second = paused(paused(still(70), 0.0, 5.3), 9.7, 15.3)
+    tracked = track(heard([first, second], 0.1, 20.0))
+    assert ids(tracked) == {1, 2}
+    for time, tracks in tracked:
+        for path, talker in ((first, 1), (second, 2)):
+            azimuth = path(time)
+            if azimuth is not None and path(time - 1.0) is not None and time > 1:
+                assert nearest([t for t in tracks if t.active], azimuth).id == talker
+
+
+@pytest.mark.parametrize(("moved_deg", "same"), [(25.0, True), (60.0, False)])
+def test_who_moves_in_silence_keeps_the_id_if_not_far(moved_deg: float, same: bool) -> None:
+    def path(time: float) -> float:
+        return math.radians(40 + (moved_deg if time > 4.0 else 0.0))
+
+    tracked = track(heard([paused(path, 3.0, 7.0)], 0.1, 9.0))
+    assert ids(tracked) == ({1} if same else {1, 2})
+
+
+def test_the_nearest_of_the_silent_ones_goes_on() -> None:
+    paths = [paused(still(20), 2.0, 9.0), paused(still(50), 2.0, 6.0)]
+    tracked = track(heard(paths, 0.1, 11.0))
+    assert ids(tracked) == {1, 2}
+    talkers = {nearest(tracked[15][1], math.radians(a)).id: a for a in (20, 50)}
+    for track_now in tracked[-1][1]:
+        place = math.radians(talkers[track_now.id])
+        assert abs(circular_difference(track_now.azimuth, place)) < math.radians(8)
+
+
 def test_a_coasting_track_slows_down() -> None:
     tracked = track(heard([paused(moving(0, 30), 3.0, 9.0)], 0.1, 5.0))
     speeds = [tracks[0].velocity for time, tracks in tracked if time > 3.3 and tracks]
@@ -293,7 +331,7 @@ def test_there_are_never_more_tracks_than_allowed() -> None:
         assert len(tracker.update(detections, 0.1 * step)) <= 5
 
 
-def test_no_id_is_given_twice() -> None:
+def test_no_id_is_given_to_two() -> None:
     tracker = Tracker()
     seen: list[int] = []
     for talker in range(4):
