@@ -194,7 +194,6 @@ class Tracker:
         tracks = [h.track(time) for h in self._hypotheses if h.id is not None]
         return tuple(sorted(tracks, key=lambda track: track.id))
 
-
     def _name(self, hypothesis: Hypothesis) -> None:
         """Give a confirmed track its id: that of the silent talker it continues, or a new one."""
         place, begin = hypothesis.filter.direction, hypothesis.born

@@ -126,7 +126,7 @@ class StreamSource(Part):
     """One tracked source."""
 
     id: int
-    """Identity of the source, stable while it is tracked and never used again"""
+    """Identity of the source; it has it again after up to 12 s of silence, nobody else ever does"""
     azimuth_deg: float
     """Degrees in [0, 360), counter-clockwise from +x, yaw offset included"""
     elevation_deg: Optional[float] = None

@@ -96,7 +96,9 @@ def _pairs(
         ]
     )
     allowed = similarity >= least
-    rows, columns = linear_sum_assignment(np.where(allowed, alignment + 1e-6 * similarity, 0.0), maximize=True)
+    rows, columns = linear_sum_assignment(
+        np.where(allowed, alignment + 1e-6 * similarity, 0.0), maximize=True
+    )
     return [
         (moment.talkers[row], moment.tracks[column])
         for row, column in zip(rows.tolist(), columns.tolist(), strict=True)

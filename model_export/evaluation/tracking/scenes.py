@@ -128,9 +128,13 @@ CELLS = (
         TrackingCell(f"two cross, RT60 {rt60:g} s", rt60, two_cross, seconds=8.0, streams=6)
         for rt60 in (0.3, 0.6)
     ),
-    TrackingCell("one walks behind a talker, RT60 0.3 s", 0.3, one_walks_behind, 8.0, 8, bars=False),
+    TrackingCell(
+        "one walks behind a talker, RT60 0.3 s", 0.3, one_walks_behind, 8.0, 8, bars=False
+    ),
     TrackingCell("one pauses for 3 to 10 s, RT60 0.3 s", 0.3, one_pauses, 16.0, 8, bars=False),
-    TrackingCell("one moves 30° in silence, RT60 0.3 s", 0.3, one_moves_in_silence, 9.0, 8, bars=False),
+    TrackingCell(
+        "one moves 30° in silence, RT60 0.3 s", 0.3, one_moves_in_silence, 9.0, 8, bars=False
+    ),
     TrackingCell("two take turns, RT60 0.3 s", 0.3, two_take_turns, 28.0, 4, bars=False),
 )
 """Cells of the evaluation; the peers were measured on those with two still talkers"""
