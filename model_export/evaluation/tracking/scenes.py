@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import soundfile
@@ -103,7 +104,7 @@ def two_take_turns(rng: np.random.Generator) -> tuple[Part, ...]:
     first = rng.uniform(0, 2 * np.pi)
     second = first + np.deg2rad(rng.uniform(40, 180))
     changes = LEAD_S + np.cumsum([0.0, *rng.uniform(4, 8, 3), 3.0])
-    turns = [(begin, end - 0.3) for begin, end in zip(changes[:-1], changes[1:], strict=True)]
+    turns = [(begin, end - 0.3) for begin, end in pairwise(changes)]
     return Part(Arc(first), tuple(turns[::2])), Part(Arc(second), tuple(turns[1::2]))
 
 
