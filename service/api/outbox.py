@@ -70,7 +70,10 @@ class Outbox:
 
 
 def message_json(message: ServerMessage, *, spectrum: bool = True) -> str:
-    """A message as it is sent; an unwanted spectrum is absent, not null."""
-    if isinstance(message, Result) and (message.spectrum is None or not spectrum):
-        return message.model_dump_json(exclude={"spectrum"})
-    return message.model_dump_json()
+    """A message as it is sent; an unwanted spectrum and a pose that nobody sent are absent."""
+    if not isinstance(message, Result):
+        return message.model_dump_json()
+    absent = {"pose"} if message.pose is None else set()
+    if message.spectrum is None or not spectrum:
+        absent.add("spectrum")
+    return message.model_dump_json(exclude=absent)

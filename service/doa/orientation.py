@@ -46,10 +46,20 @@ class Orientation:
         """A spectrum (A,) of the array's frame at 0, 1, ... 359 degrees of the robot's."""
         if self.yaw == 0 and spectrum.size == WIRE_GRID:
             return spectrum
-        turned = np.arange(WIRE_GRID) / WIRE_GRID - self.yaw / (2 * math.pi)
+        places = np.arange(WIRE_GRID) / WIRE_GRID - self.yaw / (2 * math.pi)
         closed = np.append(spectrum, spectrum[0])
-        values: FloatArray = np.interp(turned % 1 * spectrum.size, np.arange(closed.size), closed)
+        values: FloatArray = np.interp(places % 1 * spectrum.size, np.arange(closed.size), closed)
         return values
+
+
+def turned(spectra: FloatArray, yaw: float) -> FloatArray:
+    """Spectra (..., A) on a circle after a counter-clockwise turn in radians, interpolated."""
+    steps = yaw / (2 * math.pi) * spectra.shape[-1]
+    whole = math.floor(steps)
+    share = spectra.dtype.type(steps - whole)
+    before = np.roll(spectra, whole, axis=-1)
+    values: FloatArray = before + share * (np.roll(before, 1, axis=-1) - before)
+    return values
 
 
 ALIGNED = Orientation()

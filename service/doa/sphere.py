@@ -22,6 +22,9 @@ NUM_AZIMUTHS = 180
 SMOOTHING = np.deg2rad(5.0)
 """Standard deviation of the weights by which a direction's value is taken from its neighbours'"""
 
+UNKNOWN = 1e-3
+"""Sum of these weights below which a grid does not cover a direction"""
+
 
 @dataclass(frozen=True, eq=False)
 class DirectionGrid:
@@ -57,10 +60,20 @@ class DirectionGrid:
         angle = np.arccos(np.clip(np.take_along_axis(closeness, near, axis=1), -1, 1))
         weights = np.exp(-np.square(angle / SMOOTHING) / 2)
         # Directions that the grid does not cover have no value.
-        weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-3)
+        weights /= np.maximum(weights.sum(axis=1, keepdims=True), UNKNOWN)
         rows = np.repeat(np.arange(len(wanted)), near.shape[1])
         shares = (weights.astype(np.float32).ravel(), (rows, near.ravel()))
         return scipy.sparse.csr_array(shares, shape=(len(wanted), self.size))
+
+    def turned(self, spectra: FloatArray, rotation: FloatArray) -> FloatArray:
+        """Spectra (F, D) after a rotation (3, 3), interpolated; 0 where none was known."""
+        closeness = self.vectors @ (rotation @ self.vectors.T)
+        near = np.argpartition(-closeness, 2, axis=1)[:, :3]
+        angle = np.arccos(np.clip(np.take_along_axis(closeness, near, axis=1), -1, 1))
+        weights = np.exp(-np.square(angle / SMOOTHING) / 2)
+        weights /= np.maximum(weights.sum(axis=1, keepdims=True), UNKNOWN)
+        values: FloatArray = np.einsum("fdk,dk->fd", spectra[:, near], weights.astype(np.float32))
+        return values
 
     def peaks(self, spectrum: FloatArray, most: int) -> list[int]:
         """Indices of the largest local maxima of (D,) values, highest first.

@@ -16,10 +16,12 @@ Musicki, Evans, Stankovic, 1994, Integrated probabilistic data association.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from service.doa.kalman import STILL, DirectionFilter, Vector, angles, direction
+from service.doa.peaks import wrapped
+from service.doa.pose import Rotation
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +39,11 @@ class Detection:
     def direction(self) -> Vector:
         """Unit vector."""
         return direction(self.azimuth, self.elevation)
+
+    def turned(self, rotation: Rotation) -> Detection:
+        """This detection in another frame."""
+        azimuth, elevation = _turned(self, rotation)
+        return replace(self, azimuth=azimuth, elevation=elevation)
 
 
 class Track(NamedTuple):
@@ -65,6 +72,11 @@ class Track(NamedTuple):
     def direction(self) -> Vector:
         """Unit vector."""
         return direction(self.azimuth, self.elevation)
+
+    def turned(self, rotation: Rotation) -> Track:
+        """This track in another frame; its velocity is what it was."""
+        azimuth, elevation = _turned(self, rotation)
+        return self._replace(azimuth=azimuth, elevation=elevation)
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,6 +217,12 @@ class Hypothesis:
         self.last_active = max(self.last_active, other.last_active)
         self.evidence = max(self.evidence, other.evidence)
 
+    def turn(self, rotation: Rotation) -> None:
+        """Turn the direction and the velocity; about z only where nothing but azimuths is heard."""
+        turn = Rotation.of_angles(rotation.yaw) if self.level else rotation
+        state = self.filter
+        state.direction, state.velocity = turn.turn(state.direction), turn.turn(state.velocity)
+
     def active(self, time: float) -> bool:
         """Whether the talker is heard, or hidden by a neighbour who is."""
         return time - self.last_active <= self.parameters.hold_s
@@ -229,6 +247,13 @@ class Hypothesis:
             last_heard=self.last_heard,
             elevation=None if self.level else elevation,
         )
+
+
+def _turned(one: Detection | Track, rotation: Rotation) -> tuple[float, float | None]:
+    """Azimuth and elevation in another frame; about z only where nothing but azimuths is heard."""
+    if one.elevation is None:
+        return wrapped(one.azimuth + rotation.yaw), None
+    return angles(rotation.turn(one.direction))
 
 
 def log_odds(probability: float) -> float:

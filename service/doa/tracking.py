@@ -21,6 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from service.doa.kalman import angle
+from service.doa.pose import Rotation
 from service.doa.track import Detection, Hypothesis, Track, TrackerParameters
 
 __all__ = ["Detection", "Track", "Tracker", "TrackerParameters"]
@@ -45,6 +46,11 @@ class Tracker:
         self._hypotheses = []
         self._remembered = []
         self._time = None
+
+    def turn(self, rotation: Rotation) -> None:
+        """Turn all tracks: their directions are told in another frame from now on."""
+        for hypothesis in (*self._hypotheses, *self._remembered):
+            hypothesis.turn(rotation)
 
     def update(self, detections: Sequence[Detection], time: float) -> tuple[Track, ...]:
         """Take in the detections of one window.

@@ -6,9 +6,12 @@ has become final, and reads all of them.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
-from service.doa.types import ComplexArray, FloatArray
+from service.doa.pose import Rotation, mean_rotation
+from service.doa.types import ComplexArray, FloatArray, IntArray
 from service.inference.candidates import Candidates, find_candidates
 from service.inference.weights import CandidateSearch, principal_eigenvectors
 
@@ -18,6 +21,14 @@ Equal weights find two standing talkers 1 % more often and follow a walking one 
 Four blocks follow better still, but take the onset of sensor noise for a talker."""
 WINDOW_BLOCKS = len(RECENCY)
 _RECENCY = np.array(RECENCY, dtype=np.float32)[:, None]
+STILL_ENOUGH = np.deg2rad(0.5)
+"""Radians by which blocks may be turned against each other and count as not turned"""
+ALIKE = np.deg2rad(4.0)
+"""Radians of turn from the newest block at which a block counts little in the whole window, whose
+covariance cannot be turned"""
+
+Headings = Callable[[float], Rotation]
+"""The array's rotation into the world's frame at a frame of the stream, counted from its first"""
 
 
 class RecentBlocks:
@@ -40,6 +51,8 @@ class RecentBlocks:
         # A block's place is its number modulo WINDOW_BLOCKS; the whole window has the last place.
         self._covariance: ComplexArray | None = None
         """(WINDOW_BLOCKS, F, N, N), F bins or pairs of them"""
+        self._centres = [0.0] * WINDOW_BLOCKS
+        """Frame in the middle of every block, counted from the stream's first"""
         self._attention: FloatArray
         """(WINDOW_BLOCKS, F) means over eight frames; missing frames count as zero"""
         self._dominance: FloatArray
@@ -49,13 +62,21 @@ class RecentBlocks:
         self._cells: FloatArray | None = None
         """(F, WINDOW_BLOCKS + 1, A) MUSIC spectra, from the first result on"""
 
-    def put(self, covariance: ComplexArray, attention: FloatArray, final: int) -> None:
+    def put(
+        self,
+        covariance: ComplexArray,
+        attention: FloatArray,
+        centres: Sequence[float],
+        final: int,
+    ) -> None:
         """Take the blocks that were not final yet, oldest first.
 
         Parameters
         ----------
         covariance : (K, F, N, N) complex64
         attention : (K, F) float32
+        centres : (K,)
+            Frames, counted from the stream's first, about which their sound lies.
         final : int
             Number of them that are final now; the others will come again.
         """
@@ -71,18 +92,30 @@ class RecentBlocks:
             place = number % WINDOW_BLOCKS
             self._covariance[place] = covariance[number - self._passed]
             self._attention[place] = attention[number - self._passed]
+            self._centres[place] = centres[number - self._passed]
             if place not in self._stale:
                 self._stale.append(place)
         self._passed += final
 
-    def candidates(self) -> Candidates:
-        """The candidates in the last blocks, of which there must be one."""
+    def candidates(self, headings: Headings | None = None) -> tuple[Candidates, Rotation | None]:
+        """The candidates in the last blocks, of which there must be one.
+
+        With ``headings`` every block is turned into the frame of the newest one, whose rotation
+        into the world's comes with the candidates.
+        """
         count = min(self._last, WINDOW_BLOCKS)
         # Arrays are ordered by place; ``age`` is a place's rank in time, oldest first.
         age = (np.arange(count) - (self._last - count)) % count
         recency = _RECENCY[count - 1 - age]
-        self._complete(recency)
-        attention = self._attention[:count] * recency
+        turns, newest = self._turns(age, headings)
+        whole = recency
+        if turns is not None:
+            angles = np.array([turn.angle for turn in turns], dtype=np.float32)
+            whole = recency * np.exp(-0.5 * (angles / np.float32(ALIKE)) ** 2)[:, None]
+            together = mean_rotation([turns[i] for i in np.flatnonzero(angles < ALIKE)])
+            turns.append(together)
+        self._complete(whole)
+        attention = self._attention[:count]
         assert self._cells is not None
         cells, dominance, principal = self._cells, self._dominance, self._principal
         if count < WINDOW_BLOCKS:
@@ -90,16 +123,32 @@ class RecentBlocks:
             cells, dominance, principal = cells[:, rows], dominance[rows], principal[rows]
         field = self._search.field(
             cells,
-            np.concatenate([attention, attention.sum(axis=0, keepdims=True)]),
+            np.concatenate([attention * recency, (attention * whole).sum(axis=0, keepdims=True)]),
             np.repeat([[*age.tolist(), count]], len(cells), axis=0).ravel(),
             count,
             dominance,
             principal,
+            turns,
         )
-        return find_candidates(field)
+        return find_candidates(field), newest
+
+    def _turns(
+        self, age: IntArray, headings: Headings | None
+    ) -> tuple[list[Rotation] | None, Rotation | None]:
+        """Every block's rotation into the newest one's frame, None where none is turned.
+
+        The newest one's rotation into the world's frame comes second.
+        """
+        if headings is None:
+            return None, None
+        rotations = [headings(centre) for centre in self._centres[: len(age)]]
+        newest = rotations[int(age.argmax())]
+        turns = [newest.inverse.after(rotation) for rotation in rotations]
+        turned = any(turn.angle > STILL_ENOUGH for turn in turns)
+        return turns if turned else None, newest
 
     def _complete(self, recency: FloatArray) -> None:
-        """Compute spectra and dominance of blocks without them, and of the sum of all.
+        """Compute spectra and dominance of blocks without them, and of the weighted sum of all.
 
         One call computes all of them: small operations cost their calls.
         """

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from service.doa.peaks import wrapped
+from service.doa.pose import Rotation
 from service.doa.types import FloatArray
 
 MAX_SOURCES = 4
@@ -42,6 +43,8 @@ class WindowEstimate:
     spectrum: FloatArray
     """(A,) broadband spatial spectrum on the azimuth grid, maximum at most 1; (0,) where a
     recording's spectra were not requested"""
+    heading: Rotation | None = None
+    """Rotation of the frame of all this into the world's, where the array may turn"""
 
 
 @dataclass(frozen=True, slots=True)

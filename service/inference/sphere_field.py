@@ -9,6 +9,7 @@ import numpy as np
 
 from service.doa.fusion import attention_fusion
 from service.doa.music import eigenvector_power
+from service.doa.pose import Rotation
 from service.doa.sphere import (
     DirectionGrid,
     Paraboloid,
@@ -57,6 +58,8 @@ class SphereField(Field):
     principal: ComplexArray
     """(F, R + 1, N) unit vectors, the principal eigenvectors of the cells"""
     sphere: Sphere
+    turns: Sequence[Rotation] | None = None
+    """(R + 1,) rotations into this field's frame, where blocks were heard in others"""
 
     def azimuth_spectrum(self, fused: FloatArray) -> FloatArray:
         """A fused spectrum's maximum over the elevations."""
@@ -123,7 +126,17 @@ class SphereField(Field):
         The grid's value there relates them to the cell's maximum on the grid.
         """
         both = np.concatenate([self.sphere.grid.vectors[index][None], directions])
-        distance = self.sphere.distance(self.principal, both)  # (P + 1, C)
+        distance = self._distance(both)
         least = self.cells[:, index] * distance[0]
         np.minimum(least, distance.min(axis=0), out=least)
         return np.asarray((least / distance[1:]).T)
+
+    def _distance(self, directions: FloatArray) -> FloatArray:
+        """MUSIC's denominators (P, C) in directions (P, 3) of this field's frame."""
+        if self.turns is None:
+            return self.sphere.distance(self.principal, directions)
+        rows = [
+            self.sphere.distance(self.principal[:, row : row + 1], directions @ turn.matrix)
+            for row, turn in enumerate(self.turns)
+        ]
+        return np.stack(rows, axis=-1).reshape(len(directions), -1)

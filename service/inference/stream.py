@@ -13,6 +13,8 @@ WindowStream : a `regression` bundle, whose network takes whole windows: spectra
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
+from itertools import compress
 from typing import Protocol
 
 import numpy as np
@@ -20,17 +22,21 @@ import numpy as np
 from neuralmusic.errors import InvalidOption
 from neuralmusic.protocol.methods import Hemisphere, Method
 from service.doa.array import MicrophoneArray
+from service.doa.pose import Rotation, mean_rotation
 from service.doa.stft import Stft
 from service.doa.types import ComplexArray
 from service.doa.whitening import NoiseCovariance
 from service.inference.bundle import COVARIANCE_STREAM, Bundle
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import localizer_of
-from service.inference.recent_blocks import WINDOW_BLOCKS
+from service.inference.recent_blocks import WINDOW_BLOCKS, Headings
 from service.inference.regression import RegressionLocalizer
 from service.inference.results import WindowEstimate
 from service.inference.weights import BLOCK_FRAMES
 from service.inference.weights_stream import WeightsStream
+
+ALIKE = np.deg2rad(6.0)
+"""Radians by which the array may turn within a classical method's window"""
 
 
 class StreamLocalizer(Protocol):
@@ -43,8 +49,13 @@ class StreamLocalizer(Protocol):
         """Take the next frames (N, F, L) of all STFT bins, L at least 1."""
         ...
 
-    def estimate(self, num_sources: int | None, max_sources: int) -> WindowEstimate:
-        """Directions of the latest frames; at least one must have been pushed."""
+    def estimate(
+        self, num_sources: int | None, max_sources: int, headings: Headings | None = None
+    ) -> WindowEstimate:
+        """Directions of the latest frames; at least one must have been pushed.
+
+        ``headings`` tell how the array was turned at every frame, where it was not still.
+        """
         ...
 
 
@@ -57,8 +68,11 @@ class ClassicalStream:
         self._localizer = localizer
         self._blocks: deque[tuple[ComplexArray, int]] = deque(maxlen=WINDOW_BLOCKS)
         """Sums over up to eight frames, and the numbers of frames"""
+        self._frames = 0
+        """Number of all frames"""
 
     def push(self, spectra: ComplexArray) -> None:
+        self._frames += spectra.shape[-1]
         while spectra.shape[-1]:
             if not self._blocks or self._blocks[-1][1] == BLOCK_FRAMES:
                 self._blocks.append((np.zeros((1, 1, 1), np.complex64), 0))
@@ -68,10 +82,30 @@ class ClassicalStream:
             self._blocks.append((total + added, frames + taken.shape[-1]))
             spectra = spectra[..., taken.shape[-1] :]
 
-    def estimate(self, num_sources: int | None, max_sources: int) -> WindowEstimate:
-        frames = sum(count for _, count in self._blocks)
-        covariance = np.sum([total for total, _ in self._blocks], axis=0) / np.float32(frames)
-        return self._localizer.localize(covariance, num_sources, max_sources)
+    def estimate(
+        self, num_sources: int | None, max_sources: int, headings: Headings | None = None
+    ) -> WindowEstimate:
+        blocks, heading = list(self._blocks), None
+        if headings is not None:
+            blocks, heading = self._alike(headings)
+        frames = sum(count for _, count in blocks)
+        covariance = np.sum([total for total, _ in blocks], axis=0) / np.float32(frames)
+        estimate = self._localizer.localize(covariance, num_sources, max_sources)
+        return replace(estimate, heading=heading)
+
+    def _alike(self, headings: Headings) -> tuple[list[tuple[ComplexArray, int]], Rotation]:
+        """The blocks in which the array was turned as in the newest, and their mean heading.
+
+        A covariance cannot be turned: that of a turning array would be smeared.
+        """
+        counts = [count for _, count in self._blocks]
+        ends = self._frames - sum(counts) + np.cumsum(counts)
+        turned = [
+            headings(float(end - (count + 1) / 2)) for end, count in zip(ends, counts, strict=True)
+        ]
+        alike = [turned[-1].inverse.after(one).angle <= ALIKE for one in turned]
+        kept = mean_rotation(compress(turned, alike))
+        return list(compress(self._blocks, alike)), kept
 
 
 class WindowStream:
@@ -80,15 +114,23 @@ class WindowStream:
     def __init__(self, localizer: RegressionLocalizer, window_frames: int) -> None:
         self._localizer = localizer
         self._spectra: ComplexArray | None = None
+        self._frames = 0
         self.window_frames = window_frames
 
     def push(self, spectra: ComplexArray) -> None:
+        self._frames += spectra.shape[-1]
         kept = spectra if self._spectra is None else np.concatenate([self._spectra, spectra], -1)
         self._spectra = kept[..., -self.window_frames :]
 
-    def estimate(self, num_sources: int | None, max_sources: int) -> WindowEstimate:
+    def estimate(
+        self, num_sources: int | None, max_sources: int, headings: Headings | None = None
+    ) -> WindowEstimate:
         assert self._spectra is not None
-        return self._localizer.localize(self._spectra[None], num_sources, max_sources)[0]
+        (estimate,) = self._localizer.localize(self._spectra[None], num_sources, max_sources)
+        if headings is None:
+            return estimate
+        middle = self._frames - (self._spectra.shape[-1] + 1) / 2
+        return replace(estimate, heading=headings(middle))
 
 
 def stream_localizer_of(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain, starmap
@@ -15,6 +15,8 @@ from service.doa.covariance import chosen_and_sum, diagonal_loading, weighted_co
 from service.doa.evd import principal_eigenvector
 from service.doa.features import coherences, unit_vectors_and_power, window_features
 from service.doa.hemisphere import searched_directions
+from service.doa.orientation import turned
+from service.doa.pose import Rotation
 from service.doa.rank_one import RankOneMusic, shared_music
 from service.doa.sphere import NUM_AZIMUTHS
 from service.doa.steering import (
@@ -189,6 +191,7 @@ class CandidateSearch:
         blocks: int,
         dominance: FloatArray,
         principal: ComplexArray,
+        turns: Sequence[Rotation] | None = None,
     ) -> Field:
         """The field in which candidates are found: R blocks of every bin and its whole window.
 
@@ -204,7 +207,11 @@ class CandidateSearch:
             Number of blocks.
         dominance : (R + 1, F)
         principal : (R + 1, F, N)
+        turns : (R + 1,), optional
+            Rotations into the field's frame, where blocks were heard in others.
         """
+        if turns is not None:
+            cells = self._turned(cells, turns)
         attended = attention * dominance**self._analysis.dominance_power
         attended[-1] *= np.float32(self._analysis.window_share)
         parts = (
@@ -219,7 +226,16 @@ class CandidateSearch:
         )
         if self._sphere is None:
             return Field(*parts)
-        return SphereField(*parts, np.swapaxes(principal, 0, 1), self._sphere)
+        return SphereField(*parts, np.swapaxes(principal, 0, 1), self._sphere, turns)
+
+    def _turned(self, cells: FloatArray, turns: Sequence[Rotation]) -> FloatArray:
+        """Spectra (F, R + 1, A) of blocks that were heard in other frames."""
+        if self._sphere is not None:
+            grid, matrices = self._sphere.grid, [turn.matrix for turn in turns]
+            rows = [grid.turned(cells[:, row], matrix) for row, matrix in enumerate(matrices)]
+        else:
+            rows = [turned(cells[:, row], turn.yaw) for row, turn in enumerate(turns)]
+        return np.stack(rows, axis=1)
 
     def spectra(self, windows: FloatArray) -> ComplexArray:
         """STFT of the band in whole blocks of frames: (B, N, F, L) complex64, whitened.

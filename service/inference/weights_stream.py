@@ -22,7 +22,7 @@ from service.doa.types import ComplexArray, FloatArray
 from service.doa.whitening import NoiseCovariance
 from service.inference.bundle import Bundle
 from service.inference.engine import Engine
-from service.inference.recent_blocks import WINDOW_BLOCKS, RecentBlocks
+from service.inference.recent_blocks import WINDOW_BLOCKS, Headings, RecentBlocks
 from service.inference.results import WindowEstimate
 from service.inference.source_counter import SourceCounter
 from service.inference.weights import (
@@ -108,6 +108,8 @@ class WeightsStream:
         self._blocks = RecentBlocks(self._search)
         self._frames = 0
         """Frames of blocks that are not final; in the arrays zeros fill up the last block"""
+        self._passed = 0
+        """Number of frames in blocks that are final"""
         self._provisional = 0
         """Number of provisional frames, the newest ones"""
         self._unit = np.zeros((array.num_microphones, 0, analysis.num_bins), dtype=np.complex64)
@@ -130,10 +132,17 @@ class WeightsStream:
         self._weights = _extended(self._weights, known, weights[new:], length)
         self._attention = _extended(self._attention, known, attention[new:], length)
 
-    def estimate(self, num_sources: int | None, max_sources: int) -> WindowEstimate:
-        """Directions of the last blocks; at least one frame must have been pushed."""
+    def estimate(
+        self, num_sources: int | None, max_sources: int, headings: Headings | None = None
+    ) -> WindowEstimate:
+        """Directions of the last blocks; at least one frame must have been pushed.
+
+        With ``headings`` they are in the frame that the array had in the newest block.
+        """
         self._form_blocks()
-        return self._counter.sources(self._blocks.candidates(), num_sources, max_sources)
+        candidates, heading = self._blocks.candidates(headings)
+        estimate = self._counter.sources(candidates, num_sources, max_sources)
+        return estimate if heading is None else replace(estimate, heading=heading)
 
     def _form_blocks(self) -> None:
         """Form covariances and attentions of all frames; final blocks' frames are then dropped."""
@@ -146,11 +155,23 @@ class WeightsStream:
             covariance = covariance[:, 0::2] + covariance[:, 1::2]
             attention = (attention[:, 0::2] + attention[:, 1::2]) / np.float32(2)
         final = (self._frames - self._provisional) // BLOCK_FRAMES
-        self._blocks.put(diagonal_loading(covariance, CELL_LOADING), attention, final)
+        centres = self._passed + _centres(self._weights)
+        self._blocks.put(
+            diagonal_loading(covariance, CELL_LOADING), attention, centres.tolist(), final
+        )
         passed = final * BLOCK_FRAMES
+        self._passed += passed
         self._frames -= passed
         self._unit = self._unit[:, passed:]
         self._weights, self._attention = self._weights[passed:], self._attention[passed:]
+
+
+def _centres(weights: FloatArray) -> FloatArray:
+    """The frames about which the blocks' weights (L, F) lie, counted from the first."""
+    by_frame = weights.sum(axis=1).reshape(-1, BLOCK_FRAMES) + 1e-6
+    frames = np.arange(len(weights)).reshape(-1, BLOCK_FRAMES)
+    middles: FloatArray = (by_frame * frames).sum(axis=1) / by_frame.sum(axis=1)
+    return middles
 
 
 def _extended(kept: AnyFloats, count: int, new: AnyFloats, length: int) -> AnyFloats:

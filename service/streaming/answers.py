@@ -7,7 +7,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from neuralmusic.protocol.degrees import azimuth_deg, degrees, elevation_deg, unit_vector
-from neuralmusic.protocol.server_messages import ODAS_HOP_S, OdasPotential, OdasSource, StreamSource
+from neuralmusic.protocol.server_messages import (
+    ODAS_HOP_S,
+    OdasPotential,
+    OdasSource,
+    PoseInUse,
+    StreamSource,
+)
 from service.doa.orientation import Orientation
 from service.doa.peaks import find_peaks
 from service.doa.tracking import Track
@@ -33,6 +39,9 @@ def result_fields(
         "why_no_source": estimate.why_no_source,
         "spectrum": None,
     }
+    if estimate.pose is not None:
+        yaw, pitch, roll = map(degrees, estimate.pose.angles)
+        fields["pose"] = PoseInUse(yaw_deg=yaw, pitch_deg=pitch, roll_deg=roll)
     if spectrum:
         turned = orientation.spectrum_on_robot(estimate.spectrum)
         fields["spectrum"] = [round(value, 4) for value in turned.tolist()]

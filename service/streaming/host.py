@@ -60,7 +60,7 @@ class StreamHost:
         pipeline = self._pipelines[work.session]
         if work.calibrate_s is not None:
             pipeline.calibrate(work.calibrate_s)
-        step = pipeline.step(work.pieces, work.output, final=work.final)
+        step = pipeline.step(work.pieces, work.output, final=work.final, poses=work.poses)
         return Advanced(
             clock=pipeline.clock,
             estimate=step.estimate,

@@ -43,6 +43,13 @@ class Intake:
         """Sample frames taken or dropped."""
         return self.received - self.buffer.frames
 
+    def time_of(self, captured_ns: int) -> float | None:
+        """Seconds of the stream at a capture time; None before the first one was received."""
+        if self._header is None:
+            return None
+        later = (captured_ns - self._expected_ns) / NANOSECONDS
+        return self.position / self._audio.sample_rate + later
+
     def receive(self, message: bytes, now: float) -> Gap | None:
         """Buffer one message's audio; return the gap before it, if there is one.
 

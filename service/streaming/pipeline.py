@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +21,8 @@ from service.audio.pcm import decode_pcm
 from service.doa.array import MicrophoneArray
 from service.doa.diagnostics.running import RunningDiagnostics
 from service.doa.orientation import Orientation
+from service.doa.orientation import turned as turned_spectrum
+from service.doa.pose import STILL, Pose, PoseTrack, Rotation
 from service.doa.silence import SILENCE
 from service.doa.stft import Stft, StreamingStft
 from service.doa.tracking import Detection, Track, Tracker
@@ -27,6 +31,7 @@ from service.doa.whitening import NoiseCovariance, NoiseEstimator
 from service.inference.bundle import Bundle
 from service.inference.results import WindowEstimate
 from service.inference.stream import stream_localizer_of
+from service.inference.weights import BLOCK_FRAMES
 from service.streaming.buffer import Piece
 from service.streaming.clock import StreamClock
 from service.streaming.history import LAST_TIME
@@ -54,7 +59,10 @@ class StreamPlan:
 
 
 class Estimate(NamedTuple):
-    """Directions at one moment of the stream; azimuths are in the array's frame."""
+    """Directions at one moment of the stream, in the array's frame.
+
+    Of the frame ``world`` that is the array's where the robot is not turned.
+    """
 
     t_start: float
     """Seconds of stream time"""
@@ -68,6 +76,8 @@ class Estimate(NamedTuple):
     why_no_source: WhyNoSource | None
     arrived: float | None
     """Time of the session's clock at which the last of its audio arrived; None before any did"""
+    pose: Rotation | None = None
+    """The robot's rotation into the world's frame, where it sends poses"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +100,7 @@ class StreamPipeline:
         self._ratio = plan.audio.sample_rate / self._rate
         """Sample frames of the stream per sample of the analysis"""
         self._tracker = Tracker()
+        self._poses = PoseTrack()
         self.diagnostics = RunningDiagnostics(plan.audio.sample_rate, plan.channel_map, plan.array)
         """Checks of the channels; steps feed them, another thread may read them"""
         self._calibration: _Calibration | None = None
@@ -145,14 +156,24 @@ class StreamPipeline:
         """The position of the stream."""
         return StreamClock(self._rate, self._ratio, self.stream_samples, self._reported)
 
-    def step(self, pieces: Sequence[Piece], output: OutputOptions, *, final: bool = False) -> Step:
+    def step(
+        self,
+        pieces: Sequence[Piece],
+        output: OutputOptions,
+        *,
+        final: bool = False,
+        poses: Sequence[Pose] = (),
+    ) -> Step:
         """Take in audio; give an estimate where one is due, or for ``final`` in any case.
 
         Parameters
         ----------
         pieces : sequence of Piece
             Pieces in order, at most the ``frames_needed`` of the clock.
+        poses : sequence of Pose
+            The robot's rotations, in any order. From the first one on tracks are the world's.
         """
+        self._turn(poses, output)
         due = self.clock.due(output.interval_ms)
         self._take(pieces)
         wanted = self.stream_samples >= due or (final and self.stream_samples > self._reported)
@@ -214,6 +235,20 @@ class StreamPipeline:
             if self._calibration is not None:
                 self._calibration.estimator.add(spectra)
 
+    def _turn(self, poses: Sequence[Pose], output: OutputOptions) -> None:
+        """Take in poses; the first ones bring the tracks into the world's frame."""
+        first = not self._poses
+        for pose in poses:
+            self._poses.add(pose)
+        if first and poses:
+            self._tracker.turn(self._heading(self.stream_samples / self._rate, output))
+
+    def _heading(self, time: float, output: OutputOptions, width: float = 0.0) -> Rotation:
+        """The array's rotation into the world's frame at a time in seconds."""
+        mounted = Rotation.of_angles(math.radians(output.yaw_deg))
+        turned = self._poses.around(time, width) if width else self._poses.at(time)
+        return turned.after(mounted)
+
     def _estimate(self, output: OutputOptions) -> Estimate:
         estimate, why = self._localize(output)
         orientation = Orientation.of_degrees(output.yaw_deg, output.exclude_deg)
@@ -224,14 +259,20 @@ class StreamPipeline:
         self._reported = end
         t_end = end / self._rate
         found = [Detection(s.azimuth, s.confidence, s.elevation) for s in heard]
+        if estimate.heading is not None:
+            found = [detection.turned(estimate.heading) for detection in found]
         followed = self._tracker.update(found, t_end)
+        turned = None
+        if self._poses:
+            turned = self._heading(t_end, output).inverse
+            followed = tuple(track.turned(turned) for track in followed)
         # A track may coast into an excluded sector.
         tracks = [track for track in followed if not orientation.excludes(track.azimuth)]
         # At most the known number of sources: those heard now before those that may return.
         tracks.sort(key=lambda track: (not track.active, -track.confidence))
         tracks = tracks[: output.num_sources or output.max_sources]
         tracks.sort(key=lambda track: -track.confidence)
-        return Estimate(
+        result = Estimate(
             t_start=max(0.0, t_end - self.window_s),
             t_end=t_end,
             capture_time_ns=self._capture_time(end),
@@ -240,6 +281,22 @@ class StreamPipeline:
             why_no_source=None if tracks else why,
             arrived=self._arrived,
         )
+        return result if turned is None else self._in_frame(result, estimate, turned, output)
+
+    def _in_frame(
+        self, result: Estimate, estimate: WindowEstimate, turned: Rotation, output: OutputOptions
+    ) -> Estimate:
+        """A result, so far in the array's frame of the moment, in the frame that is asked for."""
+        mounted = Rotation.of_angles(math.radians(output.yaw_deg))
+        pose = turned.inverse.after(mounted.inverse)
+        way = STILL
+        if output.frame == "world":
+            way = mounted.inverse.after(turned.inverse)
+        spectrum = result.spectrum
+        if estimate.heading is not None:
+            spectrum = turned_spectrum(spectrum, way.after(turned).after(estimate.heading).yaw)
+        tracks = tuple(track.turned(way) for track in result.tracks)
+        return result._replace(tracks=tracks, spectrum=spectrum, pose=pose)
 
     def _localize(self, output: OutputOptions) -> tuple[WindowEstimate, WhyNoSource]:
         """The latest window's estimate, and why there would be no source."""
@@ -253,8 +310,16 @@ class StreamPipeline:
         if self._power() < SILENCE:
             return _NOTHING, "silence"
         most = min(output.max_sources, self._plan.array.num_microphones - 1)
-        estimate = self._localizer.estimate(output.num_sources, most)
+        headings = partial(self._frame_heading, output=output) if self._poses else None
+        estimate = self._localizer.estimate(output.num_sources, most, headings)
         return estimate, "unconfirmed" if estimate.sources else "no_direction"
+
+    def _frame_heading(self, frame: float, output: OutputOptions) -> Rotation:
+        """The array's mean rotation into the world's frame over the block around an STFT frame."""
+        stft = self._plan.stft
+        middle = self._offset + frame * stft.hop + stft.n_fft / 2
+        width = BLOCK_FRAMES * stft.hop / self._rate
+        return self._heading(middle / self._rate, output, width)
 
     def _power(self) -> float:
         """Mean square of the latest window of audio."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -122,7 +123,11 @@ class Reporter:
         """Send one result in the requested format."""
         arrived = now if estimate.arrived is None else estimate.arrived
         lag_ms = round(1000 * max(0.0, now - arrived), 1)
-        orientation = Orientation.of_degrees(output.yaw_deg, output.exclude_deg)
+        excluded = output.exclude_deg
+        if output.frame == "world" and estimate.pose is not None:
+            turn = math.degrees(estimate.pose.yaw)
+            excluded = tuple((first + turn, last + turn) for first, last in excluded)
+        orientation = Orientation.of_degrees(output.yaw_deg, excluded)
         sources = [stream_source(track, orientation) for track in estimate.tracks]
         self.account.add(estimate, sources, lag_ms)
         if output.format == "odas":

@@ -28,6 +28,7 @@ from neuralmusic.errors import (
 )
 from neuralmusic.protocol import MAX_MESSAGE_BYTES
 from neuralmusic.protocol.client_messages import (
+    AnyClientMessage,
     Calibrate,
     Flush,
     OutputOptions,
@@ -37,12 +38,14 @@ from neuralmusic.protocol.client_messages import (
     Update,
     read_client_message,
 )
+from neuralmusic.protocol.client_messages import Pose as PoseMessage
 from neuralmusic.protocol.close_codes import CloseCode
 from neuralmusic.protocol.server_messages import Calibrated, Flushed, Pong
 from service.doa.whitening import NoiseCovariance
 from service.inference.choice import check_num_sources
 from service.streaming.clock import StreamClock
 from service.streaming.intake import Intake
+from service.streaming.poses import POSE_STALE, WaitingPoses
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.work import (
     Advance,
@@ -94,6 +97,7 @@ class Session:
         self._intake: Intake | None = None
         self._commands: deque[tuple[int, Command]] = deque()
         """Waiting commands, each with the sample frames received before it"""
+        self._poses: WaitingPoses | None = None
         self._clock: StreamClock | None = None
         self._microphones = 0
         """Number of microphones, once the array is known"""
@@ -242,7 +246,7 @@ class Session:
         for finding in outcome.findings:
             self._report.warn(finding.code, finding.detail, channels=finding.channels)
 
-    def _control(self, message: Start | Update | Flush | Ping | Calibrate | Stop) -> None:
+    def _control(self, message: AnyClientMessage) -> None:
         if isinstance(message, Ping):
             self._report.emit(Pong, id=message.id)
         elif isinstance(message, Start):
@@ -250,11 +254,15 @@ class Session:
                 raise InvalidMessage("the session has been started: open another for other audio")
             self.start, self.output = message, message.output
             self._intake = Intake(message.audio)
+            self._poses = WaitingPoses(message.audio, self._intake)
             self.state = "opening"
         elif isinstance(message, Stop) and self.state == "waiting":
             self._end()
         elif self._intake is None:
             raise InvalidMessage(f"{message.type} came before start: send start first")
+        elif isinstance(message, PoseMessage):
+            assert self._poses is not None
+            self._poses.add(message)
         elif len(self._commands) >= MAX_COMMANDS:
             raise InvalidMessage(
                 f"{MAX_COMMANDS} control messages wait for the audio before them: send fewer"
@@ -294,11 +302,12 @@ class Session:
 
     def _advance(self, frames: int, purpose: Flush | Stop | Literal["audio"]) -> Advance:
         assert self._intake is not None
+        assert self._poses is not None
         self._working = purpose
         calibrate_s, self._calibrate_s = self._calibrate_s, None
         pieces = self._intake.buffer.take(frames)
         final = purpose != "audio"
-        return Advance(self.id, pieces, self.output, final, calibrate_s)
+        return Advance(self.id, pieces, self.output, final, calibrate_s, self._poses.take())
 
     def _advanced(
         self,
@@ -312,6 +321,9 @@ class Session:
         if outcome.estimate is not None:
             final = purpose != "audio"
             self._report.result(outcome.estimate, self.output, now, final=final)
+            assert self._poses is not None
+            if self._poses.stale(outcome.estimate.t_end):
+                self._report.warn("pose_stale", POSE_STALE)
         if outcome.calibration_error is not None:
             self._report.warn("calibration_failed", outcome.calibration_error)
         if outcome.calibrated is not None:
@@ -367,4 +379,4 @@ class Session:
     def _close(self, close_code: CloseCode) -> None:
         self.state, self.close_code = "closed", close_code
         self._commands.clear()
-        self._intake = None
+        self._intake = self._poses = None

@@ -15,6 +15,7 @@ from neuralmusic.protocol.client_messages import OutputOptions, Start
 from neuralmusic.protocol.methods import Method
 from neuralmusic.protocol.server_messages import StreamArray, StreamModel
 from service.doa.diagnostics import Finding
+from service.doa.pose import Pose
 from service.doa.whitening import NoiseCovariance
 from service.inference.results import AudioWarning
 from service.streaming.buffer import Piece
@@ -42,6 +43,8 @@ class Advance(NamedTuple):
     """Whether to give a result now, due or not"""
     calibrate_s: float | None = None
     """Seconds for which to learn the noise, beginning with this audio"""
+    poses: Sequence[Pose] = ()
+    """The robot's poses that came since the last job"""
 
 
 @dataclass(frozen=True, slots=True)

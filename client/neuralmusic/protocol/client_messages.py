@@ -1,10 +1,12 @@
-"""A client's messages: ``start``, then ``update``, ``flush``, ``ping``, ``calibrate``, ``stop``."""
+"""A client's messages: ``start``, then ``update``, ``pose``, ``flush``, ``ping``, ``stop``."""
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal, Optional, Union
 
-from pydantic import ConfigDict, Field, TypeAdapter, field_validator
+from pydantic import ConfigDict, Field, TypeAdapter, field_validator, model_validator
+from typing_extensions import Self
 
 from neuralmusic.protocol.framing import SAMPLE_BYTES, Encoding, HeaderKind
 from neuralmusic.protocol.message import Message, message_type, read_message
@@ -15,6 +17,7 @@ Position = tuple[float, float, float]
 Sector = tuple[float, float]
 Include = Literal["spectrum"]
 OutputFormat = Literal["doa", "odas"]
+Frame = Literal["robot", "world"]
 MIN_INTERVAL_MS, MAX_INTERVAL_MS = 20, 1000
 MIN_SAMPLE_RATE, MAX_SAMPLE_RATE = 4_000, 384_000
 
@@ -64,6 +67,9 @@ class OutputOptions(Message):
     """`odas` sends ODAS' SSL and SST objects (`ssl` and `sst`) instead of `result`"""
     yaw_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
     """Degrees by which the array is turned counter-clockwise on the robot; azimuths include it"""
+    frame: Frame = "robot"
+    """`robot`: directions as seen from where it is turned at `t_end`; `world`: in the frame of the
+    poses, where those who stand still have one direction"""
     exclude_deg: Annotated[tuple[Sector, ...], Field(max_length=16)] = ()
     """Sectors `[from, to]` in degrees, counter-clockwise, after the yaw offset, in which nothing
     is reported: a loudspeaker, a wall, the robot's own motor"""
@@ -150,14 +156,46 @@ class Calibrate(Message):
     """Least seconds of audio; learning ends with the next result"""
 
 
+class Pose(Message):
+    """How the robot's head is turned at one moment; as often as it is known, 50 a second say.
+
+    Angles turn from the world's frame about z (yaw, counter-clockwise), y (pitch, nose down) and x
+    (roll), as ROS has them. Between poses the turn is interpolated; the first one holds before it,
+    the last one after it.
+    """
+
+    type: Literal["pose"]
+    t: Optional[float] = None
+    """Seconds of audio since the session's start, as `t_end`; null with neither this nor
+    `capture_time_ns`: the end of the audio sent so far"""
+    capture_time_ns: Optional[Annotated[int, Field(ge=-(2**63), lt=2**63)]] = None
+    """The same by the clock of the audio's `seq_time` headers"""
+    yaw_deg: float = 0.0
+    pitch_deg: float = 0.0
+    roll_deg: float = 0.0
+    quaternion_xyzw: Optional[tuple[float, float, float, float]] = None
+    """A rotation `[x, y, z, w]` of any length but 0, instead of the angles"""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.t is not None and self.capture_time_ns is not None:
+            raise ValueError("a pose has t or capture_time_ns, not both")
+        if self.quaternion_xyzw is not None:
+            if self.model_fields_set & {"yaw_deg", "pitch_deg", "roll_deg"}:
+                raise ValueError("a pose has angles or quaternion_xyzw, not both")
+            if not 1e-6 < math.hypot(*self.quaternion_xyzw) < 1e6:
+                raise ValueError("quaternion_xyzw is no rotation: its length should be 1")
+        return self
+
+
 class Stop(Message):
     """End the session: the last results, `summary` and close code 1000 follow."""
 
     type: Literal["stop"]
 
 
-AnyClientMessage = Union[Start, Update, Flush, Ping, Calibrate, Stop]
-CLIENT_MESSAGES: tuple[type[Message], ...] = (Start, Update, Flush, Ping, Calibrate, Stop)
+AnyClientMessage = Union[Start, Update, Flush, Ping, Calibrate, Pose, Stop]
+CLIENT_MESSAGES: tuple[type[Message], ...] = (Start, Update, Flush, Ping, Calibrate, Pose, Stop)
 _ADAPTER: TypeAdapter[AnyClientMessage] = TypeAdapter(
     Annotated[AnyClientMessage, Field(discriminator="type")]
 )

@@ -30,6 +30,7 @@ WarningCode = Literal[
     "noise_mismatch",
     "calibration_failed",
     "length_unknown",
+    "pose_stale",
 ]
 WhyNoSource = Literal["silence", "no_direction", "unconfirmed", "excluded", "warming_up"]
 
@@ -128,20 +129,31 @@ class StreamSource(Part):
     id: int
     """Identity of the source; it has it again after up to 12 s of silence, nobody else ever does"""
     azimuth_deg: float
-    """Degrees in [0, 360), counter-clockwise from +x, yaw offset included"""
+    """Degrees in [0, 360), counter-clockwise from +x of `output.frame`, yaw offset included"""
     elevation_deg: Optional[float] = None
     """Degrees from -90 to 90 above the array's horizontal plane; null where the array or the method
     tells azimuths only, as `array.why_no_elevation` says"""
     unit_vector: list[float]
-    """`[x, y, z]` towards the source in the robot's frame; z = 0 without an elevation"""
+    """`[x, y, z]` towards the source in the same frame; z = 0 without an elevation"""
     confidence: float
     """0 to 1: the chance that a source is within 10 degrees of there"""
     active: bool
     """False while the source pauses and its track coasts"""
     velocity_deg_s: float
-    """Degrees per second, counter-clockwise"""
+    """Degrees per second, counter-clockwise: the source's own, without the turns of the poses"""
     std_deg: float
     """Standard deviation of the direction in degrees"""
+
+
+class PoseInUse(Part):
+    """How the robot was turned at a result's `t_end`, by its poses."""
+
+    yaw_deg: float
+    """Degrees, counter-clockwise"""
+    pitch_deg: float
+    """Degrees, positive: nose down"""
+    roll_deg: float
+    """Degrees"""
 
 
 class Result(ServerMessage):
@@ -161,6 +173,8 @@ class Result(ServerMessage):
     spectrum: Optional[list[float]] = None
     """Spatial spectrum at 0, 1, ... 359 degrees, yaw offset included, at most 1; absent, not null,
     unless `include` names it"""
+    pose: Optional[PoseInUse] = None
+    """The robot's pose at `t_end`; absent, not null, where no pose was sent"""
     lag_ms: float
     """Milliseconds between the arrival of the window's last audio and this result"""
     final: bool = False

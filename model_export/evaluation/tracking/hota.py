@@ -12,8 +12,8 @@ Luiten et al., 2021, HOTA: a higher order metric for evaluating multi-object tra
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,7 +52,7 @@ def hota(moments: Sequence[Moment]) -> float:
     if not talking and not reported:
         return 1.0
     similarities = [moment.similarity() for moment in moments]
-    together: Counter[tuple[int, int]] = Counter()
+    together: defaultdict[tuple[int, int], float] = defaultdict(float)
     for moment, similarity in zip(moments, similarities, strict=True):
         for row, talker in enumerate(moment.talkers):
             for column, track in enumerate(moment.tracks):
@@ -77,7 +77,7 @@ def hota(moments: Sequence[Moment]) -> float:
 def _pairs(
     moment: Moment,
     similarity: FloatArray,
-    together: Counter[tuple[int, int]],
+    together: Mapping[tuple[int, int], float],
     talking: Counter[int],
     reported: Counter[int],
     least: float,
