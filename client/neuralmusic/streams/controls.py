@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -11,6 +12,7 @@ from neuralmusic.protocol.client_messages import (
     AudioFormat,
     Calibrate,
     Flush,
+    Frame,
     Include,
     OutputFormat,
     OutputOptions,
@@ -18,6 +20,7 @@ from neuralmusic.protocol.client_messages import (
     Ping,
     Start,
     Update,
+    read_client_message,
 )
 from neuralmusic.protocol.methods import Hemisphere, Method
 from neuralmusic.protocol.server_messages import Ready, Result, Summary
@@ -173,6 +176,7 @@ class StreamControls:
         include: Sequence[Include] | None = None,
         format: OutputFormat | None = None,
         yaw_deg: float | None = None,
+        frame: Frame | None = None,
         exclude_deg: Sequence[Sequence[float]] | None = None,
     ) -> None:
         """Change output options from the next result on, and for later sessions.
@@ -193,6 +197,9 @@ class StreamControls:
             ``doa``, or ``odas`` for ODAS' objects instead of results.
         yaw_deg : float
             Degrees by which the array is turned on the robot, counter-clockwise.
+        frame : str
+            ``robot`` for directions as the robot is turned at the moment, ``world`` for those in
+            the frame of the poses.
         exclude_deg : sequence of pairs
             Sectors (from, to) in degrees in which nothing is reported.
 
@@ -208,6 +215,7 @@ class StreamControls:
             "include": include,
             "format": format,
             "yaw_deg": yaw_deg,
+            "frame": frame,
             "exclude_deg": exclude_deg,
         }
         changes = {name: value for name, value in given.items() if value is not None}
@@ -224,6 +232,42 @@ class StreamControls:
     def flush(self) -> None:
         """Localize the audio sent so far now; ``Flushed`` follows the last of these results."""
         self._sessions.control(Flush(type="flush"))
+
+    def send_pose(
+        self,
+        yaw_deg: float = 0.0,
+        pitch_deg: float = 0.0,
+        roll_deg: float = 0.0,
+        *,
+        quaternion_xyzw: tuple[float, float, float, float] | None = None,
+        t: float | None = None,
+        capture_time_ns: int | None = None,
+    ) -> None:
+        """Tell how the robot is turned, as often as it is known; needed only where it turns.
+
+        Parameters
+        ----------
+        yaw_deg, pitch_deg, roll_deg : float
+            Degrees from the world's frame, about z (counter-clockwise), y (nose down) and x.
+        quaternion_xyzw : sequence of float, optional
+            The rotation as a quaternion, instead of the angles.
+        t : float, optional
+            Seconds of audio since the session's start; by default the end of the audio sent so
+            far.
+        capture_time_ns : int, optional
+            The same by the clock of the audio's ``seq_time`` headers.
+
+        Raises
+        ------
+        InvalidMessage
+            If a number is not finite, or too much or too little is given.
+        """
+        fields: dict[str, Any] = {"type": "pose", "t": t, "capture_time_ns": capture_time_ns}
+        if quaternion_xyzw is None:
+            fields |= {"yaw_deg": yaw_deg, "pitch_deg": pitch_deg, "roll_deg": roll_deg}
+        else:
+            fields["quaternion_xyzw"] = tuple(quaternion_xyzw)
+        self._sessions.control(read_client_message(json.dumps(fields)))
 
     def ping(self, id: int | None = None) -> None:
         """Ask for a ``Pong`` with this number."""

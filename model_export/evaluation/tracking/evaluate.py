@@ -20,6 +20,7 @@ from model_export.evaluation.tracking.recordings import Estimates, real_tracks
 from model_export.evaluation.tracking.report import document
 from model_export.evaluation.tracking.scenes import CELLS, LEAD_S, noise_streams, simulate_stream
 from model_export.evaluation.tracking.scores import Tally, Update, score
+from model_export.evaluation.tracking.turning import turning_table
 from model_export.simulation.moving import MovingScene
 from service.doa.presets import preset
 from service.doa.silence import SILENCE
@@ -140,4 +141,5 @@ def evaluate(speech: Sequence[FloatArray], split: Split, recordings: Path | None
     real = real_tracks(recordings, estimates, INTERVAL_S) if recordings else {}
     streams = list(simulate_streams(speech, SEEDS[split], estimates, INTERVAL_S))
     tracked = tally_streams(streams, follow)
-    return document(tracked, tally_streams(streams, untracked), split, real)
+    turning = turning_table(speech, SEEDS[split])
+    return document(tracked, tally_streams(streams, untracked), split, real, turning)

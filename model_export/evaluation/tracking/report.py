@@ -10,6 +10,7 @@ from model_export.evaluation.results import SPLIT_WORDS
 from model_export.evaluation.tracking.recordings import RealTracks, real_table
 from model_export.evaluation.tracking.scenes import CELLS, LEAD_S, NOISE_S, SNR_DB
 from model_export.evaluation.tracking.scores import Tally
+from model_export.evaluation.tracking.turning import POSES_A_SECOND, RT60, SECONDS
 
 TRACKED = "tracks"
 ODAS_COUNTS = (0.99, 1.00, 1.00, 0.82, 0.93, 0.61, 0.41, 0.31, 0.04)
@@ -36,10 +37,12 @@ The array is the ReSpeaker square in a room of 6 x 5 x 3 m; talkers read LibriSp
 with their pauses at {snr:g} dB against white sensor noise, after {lead:g} s of noise alone. Two who
 stand are 1.5 m away, equally loud, and begin at the same moment; an update counts if both talk in
 its window (no more than 20 dB below their active levels). One walks past at 15 to 40 degrees a
-second, 1 to 1.6 m away; two cross from about 110 degrees apart within 2.5 to 4 s. A room response
-is simulated every two degrees of a path. A talker is missed if no track is within 10 degrees; a
+second, 1 to 1.6 m away; two cross from about 110 degrees apart within 2.5 to 4 s; one walks at that
+speed behind another, 1.6 to 2 m away. Turns last 4 to 8 s, pauses 3 to 10 s; one walks 30 degrees in
+3 s of silence. A room response is simulated every two degrees of a path. A talker is missed if no track is within 10 degrees; a
 track belongs to a talker within 20 degrees. Identity switches are counted over all streams of a
-cell. The time to the first track starts at the first sample a tenth as loud as the loudest one;
+cell. HOTA (Luiten et al., 2021) joins detection and association; a pair's similarity falls to 0 at 30
+degrees. Who goes on after 2.5 s or more of silence should have the same id. The time to the first track starts at the first sample a tenth as loud as the loudest one;
 tracks come with results, ten a second.
 """
 
@@ -47,6 +50,13 @@ REAL = """## Real recordings
 
 Talkers who take turns and overlap before the same array in a room, one of them 45 degrees above it;
 who speaks when is not labelled (`--recordings FOLDER`).
+"""
+
+TURNING = """## A head that turns
+
+The robot turns its head while talkers stand still 1.5 m away, in a room with an RT60 of {rt60:g} s, and sends its pose
+{rate} times a second; {seconds:g} s a stream, three streams a row. Directions are the world's: bias and error are those
+of all active tracks, an id is one that any track had.
 """
 
 PEERS = """
@@ -61,8 +71,12 @@ def document(
     untracked: Mapping[str, Tally],
     split: Split,
     real: Mapping[str, RealTracks] | None = None,
+    turning: str = "",
 ) -> str:
-    """The text of ``docs/tracking.md``; ``real`` holds the tracks of real recordings."""
+    """The text of ``docs/tracking.md``; ``real`` holds the tracks of real recordings.
+
+    ``turning`` is the table of heads that turn.
+    """
     words = {"tuned": SPLIT_WORDS["development"], "split": SPLIT_WORDS[split]}
     preface = PREFACE.format(**words, snr=SNR_DB, lead=LEAD_S)
     return "\n".join(
@@ -81,6 +95,8 @@ def document(
             f"{NOISE_S:g} s each.",
             "",
             _noises(tracked, untracked),
+            TURNING.format(rt60=RT60, rate=POSES_A_SECOND, seconds=SECONDS),
+            turning,
             *((REAL, real_table(real)) if real else ()),
         ]
     )

@@ -43,6 +43,10 @@ COMMANDS: tuple[dict[str, Any], ...] = (
     {"type": "update", "output": {"interval_ms": 20}},
     {"type": "update", "output": {"format": "odas", "yaw_deg": -90.0}},
     {"type": "update", "output": {"include": ["spectrum"], "exclude_deg": [[10, 200]]}},
+    {"type": "update", "output": {"frame": "world"}},
+    {"type": "pose", "yaw_deg": 1e300, "t": -5.0},
+    {"type": "pose", "t": 1e300, "pitch_deg": 90, "roll_deg": -180.0},
+    {"type": "pose", "quaternion_xyzw": [0.5, -0.5, 0.5, 0.5]},
     {"type": "calibrate", "kind": "noise", "seconds": 1},
 )
 STARTS: tuple[dict[str, Any], ...] = (
