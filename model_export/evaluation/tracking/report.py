@@ -34,16 +34,17 @@ result. The parameters were chosen on the training and {tuned} speakers with oth
 figures here are from {split} speakers.
 
 The array is the ReSpeaker square in a room of 6 x 5 x 3 m; talkers read LibriSpeech sentences
-with their pauses at {snr:g} dB against white sensor noise, after {lead:g} s of noise alone. Two who
-stand are 1.5 m away, equally loud, and begin at the same moment; an update counts if both talk in
-its window (no more than 20 dB below their active levels). One walks past at 15 to 40 degrees a
-second, 1 to 1.6 m away; two cross from about 110 degrees apart within 2.5 to 4 s; one walks at that
-speed behind another, 1.6 to 2 m away. Turns last 4 to 8 s, pauses 3 to 10 s; one walks 30 degrees in
-3 s of silence. A room response is simulated every two degrees of a path. A talker is missed if no track is within 10 degrees; a
-track belongs to a talker within 20 degrees. Identity switches are counted over all streams of a
-cell. HOTA (Luiten et al., 2021) joins detection and association; a pair's similarity falls to 0 at 30
-degrees. Who goes on after 2.5 s or more of silence should have the same id. The time to the first track starts at the first sample a tenth as loud as the loudest one;
-tracks come with results, ten a second.
+with their pauses at {snr:g} dB against white sensor noise, after {lead:g} s of noise alone. Two
+who stand are 1.5 m away, equally loud, and begin at the same moment; an update counts if both
+talk in its window (no more than 20 dB below their active levels). One walks past at 15 to 40
+degrees a second, 1 to 1.6 m away; two cross from about 110 degrees apart within 2.5 to 4 s; one
+walks at that speed behind another, 1.6 to 2 m away. Turns last 4 to 8 s, pauses 3 to 10 s; one
+walks 30 degrees in 3 s of silence. A room response is simulated every two degrees of a path. A
+talker is missed if no track is within 10 degrees; a track belongs to a talker within 20 degrees.
+Identity switches are counted over all streams of a cell. HOTA (Luiten et al., 2021) joins
+detection and association; a pair's similarity falls to 0 at 30 degrees. Who goes on after 2.5 s
+or more of silence should have the same id. The time to the first track starts at the first sample
+a tenth as loud as the loudest one; tracks come with results, ten a second.
 """
 
 REAL = """## Real recordings
@@ -54,9 +55,10 @@ who speaks when is not labelled (`--recordings FOLDER`).
 
 TURNING = """## A head that turns
 
-The robot turns its head while talkers stand still 1.5 m away, in a room with an RT60 of {rt60:g} s, and sends its pose
-{rate} times a second; {seconds:g} s a stream, three streams a row. Directions are the world's: bias and error are those
-of all active tracks, an id is one that any track had.
+The robot turns its head while talkers stand still 1.5 m away, in a room with an RT60 of {rt60:g}
+s, and sends its pose {rate} times a second; {seconds:g} s a stream, three streams a row.
+Directions are the world's: bias and error are those of all active tracks, an id is one that any
+track had.
 """
 
 PEERS = """

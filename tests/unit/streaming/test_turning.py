@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from service.doa.array import MicrophoneArray
-from service.doa.presets import preset
 from service.doa.steering import unit_vectors
 from service.doa.types import FloatArray
 from service.streaming.poses import STALE_S

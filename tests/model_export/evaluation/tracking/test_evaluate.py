@@ -67,8 +67,8 @@ def test_a_stream_s_detections_are_followed_and_scored() -> None:
 
 
 def test_the_document_says_which_bars_are_met() -> None:
-    good = Tally(1.0, 0, 0, 10, 10, 20, 0, 0.0, [0.1], [0.1])
-    poor = Tally(1.0, 2, 3, 10, 0, 20, 15, 1.0, [0.1], [0.4])
+    good = Tally(1.0, 0, 0, 10, 10, 20, 0, 0.0, hotas=[1.0], errors=[0.1], latencies=[0.1])
+    poor = Tally(1.0, 2, 3, 10, 0, 20, 15, 1.0, hotas=[0.1], errors=[0.1], latencies=[0.4])
     names = [*(cell.name for cell in CELLS), "silence"]
     met = document(dict.fromkeys(names, good), dict.fromkeys(names, poor), "heldout")
     count = len(bars(dict.fromkeys(names, good)))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from model_export.evaluation.tracking.scenes import CELLS, TrackingCell
 from model_export.evaluation.tracking.scores import Tally, Update, score
+from service.doa.scoring import circular_error
 from service.doa.tracking import Track
 
 
@@ -42,6 +45,7 @@ def test_perfect_tracks() -> None:
             "ospa_deg": 3,
             "missed_share": 0,
             "matched_error_deg": 3,
+            "hota": (17 + np.sqrt(1 / 3)) / 19,
         }
     )
 
@@ -76,7 +80,7 @@ def test_tracks_of_nobody_are_false_once_each() -> None:
     assert found["false_tracks_per_minute"] == pytest.approx(20)
     assert found["count_right"] == 0
     assert scores(stream([[]] * 61, [[track(4, 0)]] * 61)) == pytest.approx(
-        {"identity_switches": 0, "false_tracks_per_minute": 10}
+        {"identity_switches": 0, "false_tracks_per_minute": 10, "hota": 0}
     )
 
 
@@ -103,11 +107,24 @@ def test_updates_with_too_few_voiced_talkers_do_not_count() -> None:
     assert (tally.updates, tally.count_right, tally.missed, tally.voiced) == (1, 0, 1, 2)
 
 
-@pytest.mark.parametrize("cell", CELLS, ids=lambda cell: cell.name)
+def test_who_returns_after_a_silence_should_have_the_same_id() -> None:
+    silence = 26
+    truth, voiced = [[50.0]] * (silence + 8), [[True]] * 4 + [[False]] * silence + [[True]] * 4
+    for last, same in ((1, 1), (2, 0)):
+        tracks = [[track(1, 50)]] * 4 + [[]] * silence + [[]] + [[track(last, 50)]] * 3
+        tally = Tally()
+        score(stream(truth, tracks, voiced), tally)
+        assert (tally.returns, tally.same_ids) == (1, same)
+    tally = Tally()
+    score(stream(truth, [[track(1, 50)]] * 4 + [[]] * (silence + 4), voiced), tally)
+    assert (tally.returns, tally.same_ids) == (1, 0)
+
+
+@pytest.mark.parametrize("cell", [cell for cell in CELLS if cell.bars], ids=lambda cell: cell.name)
 def test_the_paths_are_what_the_cell_says(cell: TrackingCell) -> None:
     times = np.arange(0, cell.seconds, 0.01)
     for seed in range(5):
-        arcs = cell.paths(np.random.default_rng(seed))
+        arcs = [part.path for part in cell.parts(np.random.default_rng(seed))]
         if len(arcs) == 1:
             steps = np.angle(np.exp(1j * np.diff(arcs[0].azimuth(times))))
             speeds = np.abs(np.rad2deg(steps)) / 0.01
@@ -123,3 +140,21 @@ def test_the_paths_are_what_the_cell_says(cell: TrackingCell) -> None:
             assert abs(apart[0]) > 85
             assert np.count_nonzero(np.diff(near.astype(int)) == 1) == 1
             assert 2.3 < times[near].mean() < 4.2
+
+
+def test_the_parts_are_what_the_cell_says() -> None:
+    named = {cell.name.split(",")[0]: cell for cell in CELLS if not cell.bars}
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        (moving,) = named["one moves 30° in silence"].parts(rng)
+        (first, begin), (end, _) = moving.turns
+        before, after = moving.path.azimuth(np.array([first, end])).tolist()
+        assert circular_error(np.array(before), np.array(after)) == pytest.approx(np.deg2rad(30))
+        assert moving.path.azimuth(np.array(begin)) == pytest.approx(before)
+        (resting,) = named["one pauses for 3 to 10 s"].parts(rng)
+        assert 3 <= resting.turns[1][0] - resting.turns[0][1] <= 10
+        one, other = named["two take turns"].parts(rng)
+        turns = sorted([*one.turns, *other.turns])
+        assert all(end < begin for (_, end), (begin, _) in pairwise(turns))
+        still, walker = named["one walks behind a talker"].parts(rng)
+        assert walker.path.distance > still.path.distance
