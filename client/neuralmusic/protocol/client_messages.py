@@ -62,8 +62,9 @@ class OutputOptions(Message):
     """`spectrum` adds 360 values of the spatial spectrum to every result"""
     format: OutputFormat = "doa"
     """`odas` sends ODAS' SSL and SST objects (`ssl` and `sst`) instead of `result`"""
-    yaw_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
-    """Degrees by which the array is turned counter-clockwise on the robot; azimuths include it"""
+    yaw_deg: float = 0.0
+    """Degrees by which the array is turned counter-clockwise on the robot, any finite angle;
+    azimuths include it"""
     exclude_deg: Annotated[tuple[Sector, ...], Field(max_length=16)] = ()
     """Sectors `[from, to]` in degrees, counter-clockwise, after the yaw offset, in which nothing
     is reported: a loudspeaker, a wall, the robot's own motor"""

@@ -148,6 +148,8 @@ class Result(ServerMessage):
     """The directions of sound at present."""
 
     type: Literal["result"] = "result"
+    session: Optional[str] = None
+    """Id of the session, as in `ready`"""
     t_start: float
     """Seconds of audio from the session's start to the window's beginning"""
     t_end: float
@@ -194,6 +196,8 @@ class OdasSsl(ServerMessage):
     """ODAS' SSL object, four directions, instead of a result."""
 
     type: Literal["ssl"] = "ssl"
+    session: Optional[str] = None
+    """Id of the session, as in `ready`"""
     timeStamp: int
     """Counts ODAS' hops of 8 ms"""
     src: list[OdasPotential]
@@ -203,6 +207,8 @@ class OdasSst(ServerMessage):
     """ODAS' SST object, four tracks, instead of a result."""
 
     type: Literal["sst"] = "sst"
+    session: Optional[str] = None
+    """Id of the session, as in `ready`"""
     timeStamp: int
     """Counts ODAS' hops of 8 ms"""
     src: list[OdasSource]
