@@ -35,7 +35,7 @@ from service.startup import load_registry
 log = logging.getLogger(__name__)
 
 WS_MAX_SIZE = 2**20
-"""Most bytes of a WebSocket message: above 64 KiB the stream sends an error, above this only a
+"""Most bytes of a WebSocket message: above 256 KiB the stream sends an error, above this only a
 close frame follows"""
 ACCEPTED_AT_ONCE = 8
 """Most connections accepted between two looks at the streams"""

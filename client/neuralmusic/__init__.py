@@ -23,7 +23,7 @@ if typing.TYPE_CHECKING:
     from neuralmusic.streams.async_stream import AsyncStreamClient
     from neuralmusic.streams.backoff import Backoff
     from neuralmusic.streams.connection import Timeouts
-    from neuralmusic.streams.inbox import Reconnecting, StreamEvent
+    from neuralmusic.streams.inbox import NewSession, Reconnecting, StreamEvent
     from neuralmusic.streams.stream import StreamClient
 
 __version__ = "0.2.0"
@@ -35,6 +35,7 @@ __all__ = [
     "ClientError",
     "InvalidAnswer",
     "LocalizationClient",
+    "NewSession",
     "Reconnecting",
     "ServiceProblem",
     "ServiceUnreachable",
@@ -52,6 +53,7 @@ _HOMES = {
     "ClientError": "client_errors",
     "InvalidAnswer": "client_errors",
     "LocalizationClient": "recordings.client",
+    "NewSession": "streams.inbox",
     "Reconnecting": "streams.inbox",
     "ServiceProblem": "client_errors",
     "ServiceUnreachable": "client_errors",

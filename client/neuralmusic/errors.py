@@ -309,7 +309,7 @@ class AudioBeforeStart(
 class MessageTooBig(
     StreamProtocolError, code="message_too_big", title="Message too big", close_code=1009
 ):
-    """A message is larger than 64 KiB."""
+    """A message is larger than 256 KiB, or a text longer than 64 KiB."""
 
 
 class StreamTimeout(StreamProtocolError, code="timeout", title="Timeout", close_code=4408):

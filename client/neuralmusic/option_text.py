@@ -6,6 +6,7 @@ Readers raise ValueError; its text completes a sentence that begins with the opt
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable
 from typing import TypeVar
@@ -42,6 +43,14 @@ def read_number(text: str, low: float, high: float) -> float:
     value = float(text)
     if not low <= value <= high:
         raise ValueError(f"must be from {low:g} to {high:g}")
+    return value
+
+
+def read_angle(text: str) -> float:
+    """An angle in degrees, of as many turns as it likes."""
+    value = float(text) if len(text) <= MAX_DIGITS and NUMBER.fullmatch(text) else math.inf
+    if math.isinf(value):
+        raise ValueError("must be an angle in degrees, such as -90 or 450")
     return value
 
 

@@ -26,9 +26,10 @@ class Orientation:
 
     @classmethod
     def of_degrees(cls, yaw: float, excluded: Sequence[tuple[float, float]]) -> Orientation:
-        """The orientation given by the wire's degrees."""
+        """The orientation given by the wire's degrees; the yaw may be any finite angle."""
         sectors = tuple((math.radians(first), math.radians(last)) for first, last in excluded)
-        return cls(math.radians(yaw), sectors)
+        # Exact: radians of many turns would lose the angle's last digits.
+        return cls(math.radians(math.remainder(yaw, 360)), sectors)
 
     def on_robot(self, azimuth: float) -> float:
         """An azimuth of the array's frame in the robot's, in [0, 2 pi)."""

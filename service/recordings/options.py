@@ -13,6 +13,7 @@ from typing import Any
 
 from neuralmusic.errors import InvalidOption, TooManySources, UnknownMethod
 from neuralmusic.option_text import (
+    read_angle,
     read_channel_map,
     read_flag,
     read_integer,
@@ -110,11 +111,11 @@ OPTIONS: Mapping[str, Option] = {
     ),
     "window_s": number(0.128, 10, DEFAULT_WINDOW_S, "Seconds of audio per result."),
     "hop_s": number(0.02, 10, DEFAULT_HOP_S, "Seconds from one result to the next."),
-    "yaw_deg": number(
-        -360,
-        360,
-        0.0,
-        "Degrees by which the array is turned counter-clockwise on the robot; azimuths include it.",
+    "yaw_deg": Option(
+        read_angle,
+        {"type": "number", "default": 0.0},
+        "Degrees by which the array is turned counter-clockwise on the robot, any finite angle; "
+        "azimuths include it.",
     ),
     "exclude_deg": Option(
         read_sectors,

@@ -28,8 +28,8 @@ localizes in the caller's process. [`examples/`](../examples/README.md) holds co
 EVENTS = """\
 ## Events
 
-Reading a stream yields `StreamEvent`: `Reconnecting`, or one of the server's messages from
-`neuralmusic.protocol.server_messages`, whose attributes are the fields in
+Reading a stream yields `StreamEvent`: `Reconnecting`, `NewSession`, or one of the server's messages
+from `neuralmusic.protocol.server_messages`, whose attributes are the fields in
 [protocol.md](protocol.md).
 
 | class | message | meaning |
@@ -43,7 +43,14 @@ All errors are a `neuralmusic.errors.DoaError` with `code`, `title`, `detail` an
 | error | is a | meaning |
 |---|---|---|"""
 CLASSES = {
-    "Streams": ("StreamClient", "AsyncStreamClient", "Reconnecting", "Backoff", "Timeouts"),
+    "Streams": (
+        "StreamClient",
+        "AsyncStreamClient",
+        "Reconnecting",
+        "NewSession",
+        "Backoff",
+        "Timeouts",
+    ),
     "Recordings": ("LocalizationClient", "AsyncLocalizationClient"),
 }
 SECTION = re.compile(r"^(?P<title>[A-Z]\w+)\n-+$", re.MULTILINE)

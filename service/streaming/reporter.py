@@ -48,6 +48,8 @@ STATS_S = 5.0
 """Seconds of audio between two ``stats``"""
 WARNING_S = 1.0
 """Least seconds between two warnings of dropped audio"""
+MAX_HELD = 100
+"""Most messages that wait for ``ready``; ``summary`` counts later warnings, too"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +72,12 @@ class Reporter:
         self.watched = False
         """Whether the session has watchers: every result then gets its spectrum"""
         self.on_message = on_message
+        self._session: str | None = None
+        """Id of the session, once ``ready`` was sent"""
+        self._opening = False
+        """Whether ``start`` was received, and neither ``ready`` nor an error sent"""
+        self._held: list[tuple[type[ServerMessage], dict[str, Any]]] = []
+        """Messages that wait for ``ready``"""
         self._sequence = 0
         self._warned = -WARNING_S
         self._unreported = 0.0
@@ -77,10 +85,19 @@ class Reporter:
         self._stats_due = STATS_S
 
     def emit(self, message: type[ServerMessage], **fields: Any) -> None:
-        """Send one message."""
+        """Send one message, after ``ready`` if it does not end the session."""
+        if self._opening and message not in (Ready, StreamError, Summary, Closing):
+            if len(self._held) < MAX_HELD:
+                self._held.append((message, fields))
+            return
+        self._opening = False
         # Validation would be wasted: the fields come from this package, and results are many.
         self.on_message(message.model_construct(seq=self._sequence, **fields))
         self._sequence += 1
+
+    def opening(self) -> None:
+        """Hold what comes before ``ready``: a ``start`` that fails gets its error first."""
+        self._opening = True
 
     def ready(
         self,
@@ -94,6 +111,7 @@ class Reporter:
         noise = None
         if opened.noise_s is not None and start.client is not None:
             noise = NoiseInUse(name=start.client, seconds=round(opened.noise_s, 3))
+        self._session = session
         self.emit(
             Ready,
             session=session,
@@ -118,6 +136,9 @@ class Reporter:
         )
         for warning in opened.warnings:
             self.warn(warning.code, warning.detail)
+        held, self._held = self._held, []
+        for message, fields in held:
+            self.emit(message, **fields)
 
     def result(self, estimate: Estimate, output: OutputOptions, now: float, *, final: bool) -> None:
         """Send one result in the requested format."""
@@ -132,12 +153,13 @@ class Reporter:
         self.account.add(estimate, sources, lag_ms)
         if output.format == "odas":
             stamp = odas_time_stamp(estimate)
-            self.emit(OdasSsl, timeStamp=stamp, src=odas_potentials(estimate, orientation))
-            self.emit(OdasSst, timeStamp=stamp, src=odas_sources(estimate, orientation))
+            told = {"session": self._session, "timeStamp": stamp}
+            self.emit(OdasSsl, **told, src=odas_potentials(estimate, orientation))
+            self.emit(OdasSst, **told, src=odas_sources(estimate, orientation))
         else:
             spectrum = self.watched or "spectrum" in output.include
             fields = result_fields(estimate, sources, orientation, spectrum=spectrum)
-            self.emit(Result, **fields, lag_ms=lag_ms, final=final)
+            self.emit(Result, session=self._session, **fields, lag_ms=lag_ms, final=final)
 
     def received(self, seconds: float, buffered_s: float) -> None:
         """Count received audio; send ``stats`` when they are due."""

@@ -26,7 +26,7 @@ from neuralmusic.errors import (
     StreamTimeout,
     TooManySources,
 )
-from neuralmusic.protocol import MAX_MESSAGE_BYTES
+from neuralmusic.protocol import MAX_TEXT
 from neuralmusic.protocol.client_messages import (
     AnyClientMessage,
     Calibrate,
@@ -119,7 +119,7 @@ class Session:
             return
         self._heard = now
         try:
-            if len(text) > MAX_MESSAGE_BYTES:
+            if len(text) > MAX_TEXT:
                 raise MessageTooBig(f"a control message has {len(text)} characters: at most 64 KiB")
             self._control(read_client_message(text))
         except DoaError as error:
@@ -256,6 +256,7 @@ class Session:
             self._intake = Intake(message.audio)
             self._poses = WaitingPoses(message.audio, self._intake)
             self.state = "opening"
+            self._report.opening()
         elif isinstance(message, Stop) and self.state == "waiting":
             self._end()
         elif self._intake is None:

@@ -92,7 +92,9 @@ def _bad_audio(random: Random) -> tuple[bytes, str]:
     timed = begin["audio"].get("header") == "seq_time"
     sent = [_text(json.dumps(begin), random)]
     for number in range(random.choice((1, 3, 12))):
-        size = random.choice((0, 1, 7, 8, 15, 16, 24, 800, 6400, 6401, 65_536, 65_537, 70_000))
+        size = random.choice(
+            (0, 1, 7, 8, 15, 16, 24, 800, 6400, 6401, 65_536, 262_144, 262_145, 300_000)
+        )
         data = random.choice(
             (noise()[:size], bytes(size), b"\xff" * size, b"\x00\x00\xc0\x7f" * (size // 4))
         )

@@ -54,7 +54,7 @@ TUNED: dict[str, tuple[Any, ...]] = {
     "num_sources": (1, 2, 3, 4, None),
     "include": (["spectrum"], [], ["spectrum", "spectrum"]),
     "format": ("doa", "odas"),
-    "yaw_deg": (0, 360, -360, 17.5),
+    "yaw_deg": (0, 360, -3600.5, 1e300, 17.5),
     "exclude_deg": ([[0, 359.9]], [[10, 20], [20, 10]], [[-360, 0.1]]),
     "name": (SQUARE, "xvf3800-4mic", "nobody"),
     "positions_m": (

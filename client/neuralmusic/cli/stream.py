@@ -20,9 +20,9 @@ from neuralmusic.cli.flags import (
 )
 from neuralmusic.errors import InvalidOption
 from neuralmusic.option_text import (
+    read_angle,
     read_channel_map,
     read_integer,
-    read_number,
     read_sectors,
     read_text,
 )
@@ -46,7 +46,7 @@ READERS: dict[str, Callable[[str], Any]] = {
     "method": str,
     "num_sources": partial(read_integer, low=1, high=4),
     "max_sources": partial(read_integer, low=1, high=4),
-    "yaw_deg": partial(read_number, low=-360, high=360),
+    "yaw_deg": read_angle,
     "exclude_deg": read_sectors,
     "hemisphere": str,
 }

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+import json
 import socket
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
 from typing import Protocol, TextIO
 
@@ -23,11 +25,11 @@ from neuralmusic.protocol.server_messages import (
     StreamWarning,
     Summary,
 )
-from neuralmusic.streams.inbox import Reconnecting, StreamEvent
+from neuralmusic.streams.inbox import NewSession, Reconnecting, StreamEvent
 
 COLUMNS = (
     "t_end", "capture_time_ns", "id", "azimuth_deg", "elevation_deg", "confidence", "active",
-    "velocity_deg_s", "std_deg", "lag_ms",
+    "velocity_deg_s", "std_deg", "lag_ms", "session",
 )  # fmt: skip
 MAX_DATAGRAM = 65_507
 
@@ -63,10 +65,10 @@ class Text:
 
 
 class JsonLines(Text):
-    """One result per line."""
+    """One result per line, and a line where another session begins."""
 
     def text(self, event: StreamEvent) -> str:
-        return f"{json_line(event)}\n" if isinstance(event, RESULTS) else ""
+        return f"{json_line(event)}\n" if isinstance(event, (*RESULTS, NewSession)) else ""
 
 
 class OdasObjects(Text):
@@ -112,7 +114,9 @@ class Datagrams:
         self._socket.setblocking(False)
 
     def show(self, event: StreamEvent) -> None:
-        if isinstance(event, RESULTS) and len(data := json_line(event).encode()) <= MAX_DATAGRAM:
+        if not isinstance(event, (*RESULTS, NewSession)):
+            return
+        if len(data := json_line(event).encode()) <= MAX_DATAGRAM:
             try:
                 self._socket.sendto(data, self._address)
             except OSError:  # nobody listens, or no room: the next result is newer anyway
@@ -166,7 +170,9 @@ def saved(path: Path) -> Output:
 
 
 def json_line(event: StreamEvent) -> str:
-    """A result's JSON on one line; null fields are left out."""
+    """The JSON of a result or of a new session on one line; null fields are left out."""
+    if isinstance(event, NewSession):
+        return json.dumps({"type": "new_session", **asdict(event)})
     assert isinstance(event, RESULTS)
     return event.model_dump_json(exclude_none=True)
 
@@ -177,6 +183,11 @@ def note(event: StreamEvent) -> str | None:
         return f"warning: {event.code}: {event.detail}"
     if isinstance(event, Reconnecting):
         return f"{event.reason}: next attempt in {event.delay_s:.1f} s"
+    if isinstance(event, NewSession):
+        return (
+            f"session {event.session} follows {event.previous} after {event.outage_s:.1f} s; "
+            "time and ids go on"
+        )
     if isinstance(event, Calibrated):
         kept = f", kept as {event.name}" if event.name else ""
         return f"the noise of {event.seconds:.1f} s was learnt{kept}"

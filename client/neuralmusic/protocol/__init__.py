@@ -7,4 +7,7 @@ from these classes.
 """
 
 SUBPROTOCOL = "doa.v1"
-MAX_MESSAGE_BYTES = 64 * 1024
+MAX_MESSAGE_BYTES = 256 * 1024
+"""Most bytes of a binary message: 20 ms of 64 channels of 32 bits at 48 kHz, and more"""
+MAX_TEXT = 64 * 1024
+"""Most characters of a control message"""

@@ -65,8 +65,9 @@ class OutputOptions(Message):
     """`spectrum` adds 360 values of the spatial spectrum to every result"""
     format: OutputFormat = "doa"
     """`odas` sends ODAS' SSL and SST objects (`ssl` and `sst`) instead of `result`"""
-    yaw_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
-    """Degrees by which the array is turned counter-clockwise on the robot; azimuths include it"""
+    yaw_deg: float = 0.0
+    """Degrees by which the array is turned counter-clockwise on the robot, any finite angle;
+    azimuths include it"""
     frame: Frame = "robot"
     """`robot`: directions as seen from where it is turned at `t_end`; `world`: in the frame of the
     poses, where those who stand still have one direction"""

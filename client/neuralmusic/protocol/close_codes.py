@@ -30,7 +30,7 @@ REASONS: Mapping[CloseCode, str] = {
     CloseCode.DONE: "`stop` was answered",
     CloseCode.BINARY_BEFORE_START: "audio came before `start`",
     CloseCode.POLICY: "many pings, pongs or small fragments came, and hardly any messages",
-    CloseCode.TOO_BIG: "a message was larger than 64 KiB",
+    CloseCode.TOO_BIG: "a message was larger than 256 KiB, or a text longer than 64 KiB",
     CloseCode.INTERNAL: "the service failed, or the client answered no ping and sent nothing",
     CloseCode.DRAINING: "the service is shutting down",
     CloseCode.OVERLOADED: "unused: a full service answers the handshake with 503",

@@ -160,6 +160,8 @@ class Result(ServerMessage):
     """The directions of sound at present."""
 
     type: Literal["result"] = "result"
+    session: Optional[str] = None
+    """Id of the session, as in `ready`"""
     t_start: float
     """Seconds of audio from the session's start to the window's beginning"""
     t_end: float
@@ -208,6 +210,8 @@ class OdasSsl(ServerMessage):
     """ODAS' SSL object, four directions, instead of a result."""
 
     type: Literal["ssl"] = "ssl"
+    session: Optional[str] = None
+    """Id of the session, as in `ready`"""
     timeStamp: int
     """Counts ODAS' hops of 8 ms"""
     src: list[OdasPotential]
@@ -217,6 +221,8 @@ class OdasSst(ServerMessage):
     """ODAS' SST object, four tracks, instead of a result."""
 
     type: Literal["sst"] = "sst"
+    session: Optional[str] = None
+    """Id of the session, as in `ready`"""
     timeStamp: int
     """Counts ODAS' hops of 8 ms"""
     src: list[OdasSource]

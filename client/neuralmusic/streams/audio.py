@@ -9,13 +9,13 @@ from collections.abc import Iterator
 from typing import Any
 
 from neuralmusic.errors import AudioError, ChannelMismatch
-from neuralmusic.protocol import MAX_MESSAGE_BYTES
 from neuralmusic.protocol.client_messages import AudioFormat
 from neuralmusic.protocol.framing import HEADER, NANOSECONDS, SAMPLE_BYTES, Encoding
 
 MESSAGE_SECONDS = 0.1
 """Most seconds of audio in one message; audio is dropped in such pieces"""
-
+MESSAGE_BYTES = 64 * 1024
+"""Most bytes of one message: small enough for every version of the service"""
 
 _TYPES: dict[Encoding, tuple[str, str]] = {
     "pcm_s16le": ("h", "int16"),
@@ -86,7 +86,7 @@ def split_frames(
     """
     size, rate = audio_format.frame_bytes, audio_format.sample_rate
     header = HEADER.size if audio_format.header == "seq_time" else 0
-    most = min((MAX_MESSAGE_BYTES - header) // size, max(int(MESSAGE_SECONDS * rate), 1)) * size
+    most = min((MESSAGE_BYTES - header) // size, max(int(MESSAGE_SECONDS * rate), 1)) * size
     for start in range(0, len(frames), most):
         yield frames[start : start + most], capture_time_ns + start // size * NANOSECONDS // rate
 

@@ -26,7 +26,21 @@ class Reconnecting:
     """Seconds until the next attempt"""
 
 
-StreamEvent = Union[AnyServerMessage, Reconnecting]
+@dataclass(frozen=True)
+class NewSession:
+    """Another session follows a lost one, told after its ``Ready``; numbers, time and ids go on."""
+
+    session: str
+    """Id of the new session"""
+    previous: str
+    """Id of the session before"""
+    t_start: float
+    """Seconds of stream time at which it begins; audio of the outage is missing before"""
+    outage_s: float
+    """Seconds since the last result of the session before"""
+
+
+StreamEvent = Union[AnyServerMessage, Reconnecting, NewSession]
 
 
 class Inbox:

@@ -30,6 +30,7 @@ from neuralmusic.protocol.server_messages import (
 )
 from neuralmusic.streams.backoff import Backoff
 from neuralmusic.streams.connection import Timeouts, close_at_once, closed_by, open_connection
+from neuralmusic.streams.continuity import Continuity
 from neuralmusic.streams.inbox import Inbox, Reconnecting
 from neuralmusic.streams.incoming import Incoming
 from neuralmusic.streams.send_queue import SendQueue
@@ -86,6 +87,7 @@ class Sessions:
         )
         self.outgoing = SendQueue(start.audio, options.queue_s, drop=self.live, wake=self._wake)
         self.inbox = Inbox(options.max_unread or (UNREAD_LIVE if self.live else UNREAD_RECORDING))
+        self._continuity = Continuity(self.live)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._task: asyncio.Task[None] | None = None
         self._ready: Ready | None = None
@@ -217,9 +219,12 @@ class Sessions:
             except (ServiceUnreachable, StreamRefused) as refused:
                 error = refused
                 continue
-            self._ready, self.summary = ready, None
+            self._ready, begun = self._continuity.begin(ready, asyncio.get_running_loop().time())
+            self.summary = None
             self.outgoing.begin()
-            self.inbox.put(ready)
+            self.inbox.put(self._ready)
+            if begun is not None:
+                self.inbox.put(begun)
             return websocket
 
     async def _wait_after(self, error: Failure, deadline: float) -> None:
@@ -273,12 +278,13 @@ class Sessions:
     async def _read_all(self, websocket: ClientConnection) -> StreamError | Closing | None:
         """Read until the connection is closed; return the service's ``error`` or ``closing``."""
         said: StreamError | Closing | None = None
-        incoming = Incoming()
+        incoming, clock = Incoming(), asyncio.get_running_loop().time
         with contextlib.suppress(ConnectionClosed):
             while True:
-                message = incoming.read(await websocket.recv())
-                if message is None:
+                read = incoming.read(await websocket.recv())
+                if read is None:
                     continue
+                message = self._continuity.follow(read, clock())
                 self._received += 1
                 if isinstance(message, RESULTS):
                     self._failures = 0  # connected again: the next outage begins with short delays

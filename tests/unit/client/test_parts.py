@@ -15,6 +15,7 @@ from scripted_service import ready, result
 from neuralmusic import Backoff
 from neuralmusic.addresses import service_url, stream_url
 from neuralmusic.errors import AudioError, ChannelMismatch, InvalidOption
+from neuralmusic.option_text import read_angle
 from neuralmusic.protocol import MAX_MESSAGE_BYTES
 from neuralmusic.protocol.client_messages import AudioFormat
 from neuralmusic.protocol.framing import HEADER, FrameHeader
@@ -221,3 +222,13 @@ def test_results_make_room_for_what_is_said_once() -> None:
     assert inbox.take() == result(9)
     with pytest.raises(ValueError, match="over"):
         inbox.take()
+
+
+@pytest.mark.parametrize(
+    ("text", "degrees"), [("450", 450.0), ("-720.5", -720.5), ("1e300", 1e300)]
+)
+def test_a_yaw_as_text_is_any_finite_angle(text: str, degrees: float) -> None:
+    assert read_angle(text) == degrees
+    for wrong in ("1e999", "nan", "inf", "a"):
+        with pytest.raises(ValueError, match="an angle in degrees"):
+            read_angle(wrong)

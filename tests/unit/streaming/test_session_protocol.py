@@ -72,7 +72,7 @@ def test_a_start_that_cannot_be_is_refused_with_what_to_do(
         (b"RIFF\x00\x00\x00\x00WAVEfmt " + bytes(16), "message_invalid", 4400, "WAV"),
         (b"fLaC" + bytes(28), "message_invalid", 4400, "FLAC"),
         (bytes(7), "message_invalid", 4400, "8 bytes"),
-        (bytes(65_544), "message_too_big", 1009, "65536"),
+        (bytes(262_152), "message_too_big", 1009, "262144"),
     ],
 )
 def test_audio_that_cannot_be_is_refused_with_what_to_do(
@@ -80,7 +80,7 @@ def test_audio_that_cannot_be_is_refused_with_what_to_do(
 ) -> None:
     driver = new_session()
     driver.send(CLASSICAL)
-    driver.audio(data, 100_000)
+    driver.audio(data, 300_000)
     assert (driver.last["code"], driver.last["close_code"]) == (code, close_code)
     assert words in driver.last["detail"]
 
