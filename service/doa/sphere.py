@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -19,8 +20,16 @@ MIN_SEPARATION = np.deg2rad(10.0)
 """Radians; of two maxima closer than this only the higher one counts"""
 NUM_AZIMUTHS = 180
 """Azimuths of the spectrum that is left where elevations are taken together"""
+IMAGE_SHAPE = (36, 72)
+"""Elevations and azimuths of an image of the sphere, 5 degrees apart"""
 SMOOTHING = np.deg2rad(5.0)
 """Standard deviation of the weights by which a direction's value is taken from its neighbours'"""
+CLIMB_STEP = np.deg2rad(2.5)
+"""Radians from a direction to the six around it among which a climb finds the highest value"""
+MOST_MOVES = 4
+"""Most times that a climb moves by a step: to the distance between separate maxima"""
+HEXAGON = CLIMB_STEP * np.array([[np.cos(a), np.sin(a)] for a in np.arange(6) * (np.pi / 3)])
+"""Places (6, 2) in radians of these directions"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,15 +51,31 @@ class DirectionGrid:
 
     def azimuth_spectrum(self, spectrum: FloatArray) -> FloatArray:
         """The maximum (A,) over the elevations of values (D,), interpolated."""
-        image: FloatArray = self._image_weights @ spectrum
-        highest: FloatArray = image.reshape(-1, NUM_AZIMUTHS).max(axis=0)
+        values: FloatArray = self._azimuth_weights @ spectrum
+        highest: FloatArray = values.reshape(-1, NUM_AZIMUTHS).max(axis=0)
         return highest
+
+    def image(self, spectrum: FloatArray) -> FloatArray:
+        """Values (D,) as an equirectangular image (36, 72), interpolated.
+
+        Rows are elevations, -87.5, -82.5, ... 87.5 degrees; columns are azimuths, 0, 5, ... 355
+        degrees. Directions that the grid does not cover are 0.
+        """
+        values: FloatArray = self._image_weights @ spectrum
+        return values.reshape(IMAGE_SHAPE)
+
+    @cached_property
+    def _azimuth_weights(self) -> scipy.sparse.csr_array:
+        return self._weights(np.deg2rad(np.arange(-85, 90, 10)), NUM_AZIMUTHS)
 
     @cached_property
     def _image_weights(self) -> scipy.sparse.csr_array:
-        """(E A, D) shares of the grid's values in an image of elevations and azimuths."""
-        azimuth = np.arange(NUM_AZIMUTHS) * (2 * np.pi / NUM_AZIMUTHS)
-        elevation = np.deg2rad(np.arange(-85, 90, 10))
+        rows, columns = IMAGE_SHAPE
+        return self._weights(np.deg2rad((np.arange(rows) + 0.5) * 180 / rows - 90), columns)
+
+    def _weights(self, elevation: FloatArray, num_azimuths: int) -> scipy.sparse.csr_array:
+        """(E A, D) shares of the grid's values at E elevations and A azimuths."""
+        azimuth = np.arange(num_azimuths) * (2 * np.pi / num_azimuths)
         wanted = unit_vectors(*np.meshgrid(azimuth, elevation)).reshape(-1, 3)
         closeness = wanted @ self.vectors.T
         near = np.argsort(-closeness, axis=1)[:, :6]
@@ -119,6 +144,26 @@ class Paraboloid:
         x = (xy * slope_y - 2 * yy * slope_x) / determinant
         y = (xy * slope_x - 2 * xx * slope_y) / determinant
         return np.array([x, y]) * min(1.0, self._most / max(math.hypot(x, y), 1e-9))
+
+
+_PARABOLOID = Paraboloid(HEXAGON)
+
+
+def climbed(start: FloatArray, values: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Unit vector (3,) to the maximum uphill from a direction (3,), at most four steps away.
+
+    ``values`` gives the values (P,) in P directions (P, 3).
+    """
+    middle = start
+    for _ in range(MOST_MOVES):
+        axes = np.array(tangents(middle))
+        around = on_sphere(middle, axes, HEXAGON)
+        found = values(np.concatenate([middle[None], around]))
+        highest = int(found.argmax())
+        if highest == 0:
+            return on_sphere(middle, axes, _PARABOLOID.vertex(found[0], found[1:]))
+        middle = around[highest - 1]
+    return middle
 
 
 @cache

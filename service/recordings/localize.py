@@ -79,7 +79,7 @@ def localize_recording(
     localizer = (
         localizer_of(bundle, array, options.noise, options.hemisphere)
         if bundle
-        else ClassicalLocalizer(method, array, stft, options.noise)
+        else ClassicalLocalizer(method, array, stft, options.noise, options.hemisphere)
     )
     diagnostics = ChannelDiagnostics(stft.sample_rate, array.num_microphones, channel_map)
     blocks = _observed(recording.blocks(channel_map, stft.sample_rate), diagnostics)
@@ -111,7 +111,7 @@ def localize_recording(
             *method_warnings(options.method, method, array),
         ],
         stretches=sizes,
-        why_no_elevation=why_no_elevation(array, options.hemisphere, method, bundle),
+        why_no_elevation=why_no_elevation(array, options.hemisphere, bundle),
     )
 
 
@@ -127,7 +127,7 @@ def _estimate(
     """Estimates of a stretch's windows; silent ones have no sources."""
     heard = (w[:, : max(n, 1)] for w, n in zip(stretch.windows, stretch.heard, strict=True))
     silent = [float(np.vecdot(each, each).sum()) < SILENCE * each.size for each in heard]
-    nothing = WindowEstimate((), np.zeros(localizer.grid_size, dtype=np.float32))
+    nothing = localizer.nothing
     if all(silent):  # an hour of it compresses to nothing and must cost next to nothing
         return [nothing] * len(silent)
     most = min(options.max_sources, options.array.num_microphones - 1)

@@ -249,9 +249,9 @@ class StreamPipeline:
             self._fresh.clear()
             self._localizer.push(spectra)
         if self._frames == 0:
-            return _NOTHING, "warming_up"
+            return self._localizer.nothing, "warming_up"
         if self._power() < SILENCE:
-            return _NOTHING, "silence"
+            return self._localizer.nothing, "silence"
         most = min(output.max_sources, self._plan.array.num_microphones - 1)
         estimate = self._localizer.estimate(output.num_sources, most)
         return estimate, "unconfirmed" if estimate.sources else "no_direction"
@@ -281,6 +281,3 @@ class _Calibration:
     @property
     def complete(self) -> bool:
         return self.estimator.seconds >= self.seconds
-
-
-_NOTHING = WindowEstimate((), np.zeros(360, dtype=np.float32))
