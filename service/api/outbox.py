@@ -70,7 +70,8 @@ class Outbox:
 
 
 def message_json(message: ServerMessage, *, spectrum: bool = True) -> str:
-    """A message as it is sent; an unwanted spectrum is absent, not null."""
-    if isinstance(message, Result) and (message.spectrum is None or not spectrum):
-        return message.model_dump_json(exclude={"spectrum"})
-    return message.model_dump_json()
+    """A message as it is sent; a spectrum that is unwanted or not there is absent, not null."""
+    if not isinstance(message, Result):
+        return message.model_dump_json()
+    absent = {name for name in ("spectrum", "sphere") if getattr(message, name) is None}
+    return message.model_dump_json(exclude=absent if spectrum else absent | {"spectrum"})

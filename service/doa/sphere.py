@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -40,6 +40,8 @@ class DirectionGrid:
     """(D, 3) unit vectors; on the whole sphere the second half is opposite the first"""
     neighbours: IntArray
     """(D, 6) indices of the nearest directions; its own where there are fewer"""
+    normal: FloatArray | None = None
+    """(3,) unit vector in the middle of a half; None on the whole sphere"""
 
     @property
     def size(self) -> int:
@@ -81,8 +83,9 @@ class DirectionGrid:
         near = np.argsort(-closeness, axis=1)[:, :6]
         angle = np.arccos(np.clip(np.take_along_axis(closeness, near, axis=1), -1, 1))
         weights = np.exp(-np.square(angle / SMOOTHING) / 2)
-        # Directions that the grid does not cover have no value.
-        weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-3)
+        weights /= weights.sum(axis=1, keepdims=True)
+        if self.normal is not None:  # the other half has no values
+            weights *= (wanted @ self.normal >= -1e-9)[:, None]
         rows = np.repeat(np.arange(len(wanted)), near.shape[1])
         shares = (weights.astype(np.float32).ravel(), (rows, near.ravel()))
         return scipy.sparse.csr_array(shares, shape=(len(wanted), self.size))
@@ -178,7 +181,7 @@ def half_sphere(normal: FloatArray) -> DirectionGrid:
     ``normal`` (3,) points to the side that is kept; directions in the plane belong to it.
     """
     vectors = whole_sphere().vectors
-    return _grid(vectors[vectors @ normal >= -1e-9])
+    return replace(_grid(vectors[vectors @ normal >= -1e-9]), normal=normal)
 
 
 def angle_between(first: FloatArray, second: FloatArray) -> FloatArray:

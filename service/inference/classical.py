@@ -38,6 +38,9 @@ RELATIVE_HEIGHT = 0.6
 """Least height of a source's peak above the mean, against the highest peak's"""
 LEAST_CONTRAST = {"norm_music": 0.32, "music": 0.32, "srp_phat": 0.24}
 """Least 1 - mean / peak of a spectrum with a direction; white and diffuse noise stay below"""
+SPHERE_LEAST_CONTRAST = {"norm_music": 0.42, "music": 0.42, "srp_phat": 0.24}
+"""The same on the sphere, where a mean holds more of what is far from a peak; one window in
+twenty of white or diffuse noise is above"""
 LEAST_RESPONSE = 0.03
 """Least peak of SRP-PHAT's response, 1 for a plane wave; white noise stays below 0.02"""
 
@@ -79,6 +82,12 @@ CHANCES: Mapping[Method, Chances] = {
 }
 """Chances by method, fitted to 1,800 simulated windows by
 ``python -m model_export classical-confidence``"""
+SPHERE_CHANCES: Mapping[Method, Chances] = {
+    "norm_music": Chances(Curve(7.8, 0.39), Curve(3.8, 0.59), 0.28),
+    "music": Chances(Curve(4.0, 0.60), Curve(0.6, 2.0), 0.01),
+    "srp_phat": Chances(Curve(7.5, 0.20), Curve(9.5, 0.23), 0.10),
+}
+"""The same on the sphere, from 480 windows of three arrays with height"""
 
 _shared: WeakValueDictionary[tuple[bytes, bytes, bytes], Grid] = WeakValueDictionary()
 
@@ -119,6 +128,8 @@ class ClassicalLocalizer:
         self._sphere = searched_directions(array, hemisphere)
         """The directions to search; None where azimuths are"""
         directions = self._sphere.vectors if self._sphere else unit_vectors(azimuth_grid())
+        self._least_contrast = (SPHERE_LEAST_CONTRAST if self._sphere else LEAST_CONTRAST)[method]
+        self._chances = (SPHERE_CHANCES if self._sphere else CHANCES)[method]
         band_frequencies = frequencies[self._band]
         self._grid = shared_grid(array.positions, band_frequencies, directions)
         self._whitening: Whitening | None = None
@@ -162,17 +173,18 @@ class ClassicalLocalizer:
         highest = float(spectrum.max())
         scaled = spectrum / np.float32(highest) if highest > 0 else spectrum
         mean = float(scaled.mean())
-        directed = 1 - mean >= LEAST_CONTRAST[self._method]
+        directed = 1 - mean >= self._least_contrast
         if self._method == "srp_phat":
             directed = directed and highest >= LEAST_RESPONSE
         level = 0.0
         if num_sources is None:
             level = mean + RELATIVE_HEIGHT * (1 - mean) if directed else math.inf
-        chances = CHANCES[self._method]
-        curve = chances.asked if num_sources else chances.counted
+        curve = self._chances.asked if num_sources else self._chances.counted
 
         def source(height: float, azimuth: float, elevation: float | None = None) -> Source:
-            chance = curve.at(1 - mean / max(height, mean)) if directed else chances.undirected
+            chance = (
+                curve.at(1 - mean / max(height, mean)) if directed else self._chances.undirected
+            )
             return Source(azimuth, chance, elevation=elevation)
 
         most = num_sources or max_sources

@@ -56,6 +56,12 @@ def nothing_heard(num_azimuths: int, *, sphere: bool) -> WindowEstimate:
     return WindowEstimate((), np.zeros(num_azimuths, dtype=np.float32), image)
 
 
+def sphere_rows(image: FloatArray) -> list[list[float]]:
+    """An image of the sphere as it is sent, to a thousandth."""
+    rows: list[list[float]] = np.round(image.astype(np.float64), 3).tolist()
+    return rows
+
+
 @dataclass(frozen=True, slots=True)
 class AudioWarning:
     """Something about the input that the user should know; the answer is valid all the same."""

@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from neuralmusic.errors import InvalidOption
 from service.audio.recording import Recording
 from service.doa.diagnostics import ChannelDiagnostics
 from service.doa.orientation import Orientation
@@ -75,6 +76,9 @@ def localize_recording(
     channel_map, assumed = choose_channels(recording.channels, array, options.channel_map)
     check_num_sources(options.num_sources, array.num_microphones)
     method, bundle = choose_method(options.method, options.model, array, registry)
+    why_not = why_no_elevation(array, options.hemisphere, bundle)
+    if options.sphere and why_not:
+        raise InvalidOption(f"spectrum=sphere needs an array that tells elevations, but {why_not}")
     stft = bundle.stft if bundle else Stft()
     localizer = (
         localizer_of(bundle, array, options.noise, options.hemisphere)
@@ -89,7 +93,7 @@ def localize_recording(
     most = min(STRETCH_WINDOWS, max(1, STRETCH_SAMPLES // of_window))
     joined = _counted(stretches(cut, most), sizes)
     estimated = in_order(partial(_estimate, localizer, options), joined, processes)
-    results = PackedWindows(options.orientation, spectrum=options.spectrum)
+    results = PackedWindows(options.orientation, spectrum=options.spectrum, sphere=options.sphere)
     for window in identified(_placed(estimated, options, recording.duration, progress)):
         results.append(window)
     if progress:
@@ -111,7 +115,7 @@ def localize_recording(
             *method_warnings(options.method, method, array),
         ],
         stretches=sizes,
-        why_no_elevation=why_no_elevation(array, options.hemisphere, bundle),
+        why_no_elevation=why_not,
     )
 
 
@@ -132,6 +136,8 @@ def _estimate(
         return [nothing] * len(silent)
     most = min(options.max_sources, options.array.num_microphones - 1)
     estimates = estimate_stretch(localizer, stretch, options.num_sources, most)
+    if not options.sphere:  # images are large, and estimates may come from another process
+        estimates = [replace(each, sphere=None) for each in estimates]
     return [nothing if s else each for s, each in zip(silent, estimates, strict=True)]
 
 

@@ -68,6 +68,8 @@ class Estimate(NamedTuple):
     why_no_source: WhyNoSource | None
     arrived: float | None
     """Time of the session's clock at which the last of its audio arrived; None before any did"""
+    sphere: FloatArray | None = None
+    """(36, 72) image of the sphere, where it is asked for and elevations are told"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,6 +241,7 @@ class StreamPipeline:
             spectrum=estimate.spectrum,
             why_no_source=None if tracks else why,
             arrived=self._arrived,
+            sphere=estimate.sphere if "sphere" in output.include else None,
         )
 
     def _localize(self, output: OutputOptions) -> tuple[WindowEstimate, WhyNoSource]:

@@ -188,7 +188,8 @@ class StreamControls:
         num_sources : int or None
             The known number of sources; None lets the service count.
         include : sequence of str
-            ``["spectrum"]`` adds 360 values of the spatial spectrum to every result.
+            ``spectrum`` adds 360 values of the spatial spectrum to every result, ``sphere`` an
+            image of the sphere where the array tells elevations.
         format : str
             ``doa``, or ``odas`` for ODAS' objects instead of results.
         yaw_deg : float
