@@ -38,7 +38,7 @@ from service.inference.results import MAX_SOURCES, WindowEstimate
 
 ARRAYS = ("respeaker-usb-4mic-v2", "respeaker-6mic-circular", "av163-circle8")
 ELEVATIONS_DEG = (-40.0, 60.0)
-"""Of the talkers around arrays with height"""
+"""Lowest and highest elevation of talkers around arrays with height"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +137,8 @@ def _fitted(
         reports = [report for _, of_window in answers for report in of_window]
         right = np.array([right for _, right in reports])
         slope, middle = fitted(contrast, right)
-        curve = f"slope {slope:.2f}, middle {middle:.3f}; all alike {right.mean():.2f}"
-        yield f"{method}, {kind}: {curve}"
+        shown = f"slope {slope:.2f}, middle {middle:.3f}; all alike {right.mean():.2f}"
+        yield f"{method}, {kind}: {shown}"
         yield _table(reliability(reports, count))
 
 
