@@ -29,13 +29,15 @@ export function microphones(positions, radius, { numbers = true, dot = 4, seen =
   const { centre, radius: reach } = extent(points);
   const scale = reach > 0 ? radius / reach : 0;
   points.forEach((point, index) => {
+    const here = points.flatMap((p, n) => (Math.hypot(p[0] - point[0], p[1] - point[1]) < LEVEL ? [n] : []));
+    if (here[0] !== index) return; // one behind another, as seen from here
     const [right, down] = [(point[0] - centre[0]) * scale, (point[1] - centre[1]) * scale];
     group.append(shape("circle", { cx: right.toFixed(2), cy: down.toFixed(2), r: dot }));
     if (!numbers) return;
     const away = Math.hypot(right, down) > 1 ? Math.atan2(down, right) : Math.PI / 2;
     const [dx, dy] = [Math.cos(away) * dot * 2.8, Math.sin(away) * dot * 2.8];
     group.append(
-      shape("text", { x: (right + dx).toFixed(2), y: (down + dy).toFixed(2), text: String(index) }),
+      shape("text", { x: (right + dx).toFixed(2), y: (down + dy).toFixed(2), text: here.join(" ") }),
     );
   });
   return group;

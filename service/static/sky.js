@@ -1,6 +1,6 @@
-// The sky view: directions with their elevations, seen from below as on a star map turned to the
-// dial's sides. The middle is straight up, the rim the horizon; what is below the horizon is drawn
-// hollow, and its middle is straight down.
+// The sky view: directions with their elevations, seen from above as the dial is. The middle is
+// straight up, the rim the horizon; what is below the horizon is drawn hollow, and for it the middle
+// is straight down.
 
 import { inWords, label, onScreen } from "./angles.js";
 import { shape } from "./dom.js";
@@ -18,7 +18,7 @@ export class Sky {
     this.marks = shape("g", { class: "marks" });
     this.picture = shape(
       "svg",
-      { viewBox: "-132 -128 264 256", role: "img" },
+      { viewBox: "-142 -124 284 248", role: "img" },
       shape("circle", { class: "face", r: RIM }),
       ...RINGS.map((elevation) => shape("circle", { class: "ring", r: radius(elevation) })),
       ...[0, 45, 90, 135].map(spoke),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -67,18 +68,12 @@ def test_a_talker_above_is_seen_in_the_sky(
     right, down, rim = place(here, "#sky")
     assert (right, down) == pytest.approx((-rim / 2, 0), abs=0.05 * rim)
     picture = here.page.locator("#sky svg")
-    expect(picture).to_have_attribute("aria-label", re_words("left, 4[4-6]° up"))
+    expect(picture).to_have_attribute("aria-label", re.compile("left, 4[4-6]° up"))
     expect(here.page.locator("#sky .marks g")).to_have_class("above")
     assert here.page.locator("#sky .trail circle").count() > 2
     assert here.overflow() <= 0
     here.page.locator(".instrument >> nth=0").scroll_into_view_if_needed()
     keep_picture(here, f"page-sky-{viewport['width']}-{scheme}")
-
-
-def re_words(text: str) -> Any:
-    import re
-
-    return re.compile(text)
 
 
 def test_a_talker_below_is_hollow_and_an_array_without_height_has_no_sky(
@@ -127,10 +122,13 @@ def test_an_array_with_height_is_drawn_from_its_side_as_it_is_edited(visit: Visi
     here.page.fill("[aria-label='Microphone 2, z in millimetres']", "60")
     expect(plots).to_have_count(2)
     side = here.page.locator("#array-plot svg[aria-label*='from its right side'] circle")
+    expect(side).to_have_count(3)  # 0 and 3 are behind each other
+    names = here.page.locator(
+        "#array-plot svg[aria-label*='from its right side'] .microphones text"
+    )
+    assert names.all_text_contents() == ["0 3", "1", "2"]
     heights = [float(each.get_attribute("cy")) for each in side.all()]
     assert heights.index(min(heights)) == 2  # up is up
-    ahead = [float(each.get_attribute("cx")) for each in side.all()]
-    positions = json.loads(here.page.input_value("#json"))
-    assert [a > 0 for a in ahead] == [x > 0 for x, _, _ in positions]
+    assert [float(each.get_attribute("cx")) > 0 for each in side.all()] == [True, False, False]
     assert here.overflow() <= 0
     keep_picture(here, "page-array-side")
