@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import cache
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal
 
 from neuralmusic.errors import ChannelMismatch, InvalidOption, UnsupportedSampleRate
 from neuralmusic.protocol.client_messages import MAX_SAMPLE_RATE, MIN_SAMPLE_RATE
@@ -38,7 +38,7 @@ def localize(
     exclude_deg: Sectors | None = None,
     hemisphere: Hemisphere | None = None,
     noise: str | Path | None = None,
-    spectrum: bool | None = None,
+    spectrum: bool | Literal["sphere"] | None = None,
 ) -> LocalizationAnswer:
     """Directions of arrival in a recording, as ``POST /localize`` answers.
 
@@ -75,8 +75,9 @@ def localize(
         array then tells elevations.
     noise : path, optional
         A profile of the robot's own noise that ``neuralmusic noise`` wrote.
-    spectrum : bool, optional
-        Whether every window has its spatial spectrum, 360 values.
+    spectrum : bool or str, optional
+        Whether every window has its spatial spectrum, 360 values; ``"sphere"`` gives an image of
+        the sphere instead, 36 elevations of 72 azimuths.
 
     Raises
     ------

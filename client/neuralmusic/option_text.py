@@ -9,7 +9,7 @@ import json
 import math
 import re
 from collections.abc import Callable
-from typing import TypeVar
+from typing import TypeVar, Union
 
 from neuralmusic.errors import InvalidOption
 from neuralmusic.protocol.message import SHOWN
@@ -22,6 +22,8 @@ MAX_DIGITS = 64
 """Most characters of a number"""
 MAX_SECTORS = 16
 """Most excluded sectors, as for a stream"""
+SPHERE = "sphere"
+"""Value of ``spectrum`` that asks for images of the sphere"""
 
 
 def read_text(name: str, text: str, read: Callable[[str], T]) -> T:
@@ -68,6 +70,16 @@ def read_flag(text: str) -> bool:
     if text.lower() in ("false", "0", "no", "off"):
         return False
     raise ValueError("must be true or false")
+
+
+def read_spectrum(text: str) -> Union[bool, str]:
+    """A truth value, or ``sphere``."""
+    if text == SPHERE:
+        return SPHERE
+    try:
+        return read_flag(text)
+    except ValueError:
+        raise ValueError(f"must be true, false or {SPHERE}") from None
 
 
 def read_sectors(text: str) -> tuple[tuple[float, float], ...]:

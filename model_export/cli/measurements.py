@@ -1,8 +1,9 @@
-"""``ego-noise``, ``mistakes``, ``tracking``, ``classical-confidence``: further measurements."""
+"""``ego-noise``, ``mistakes``, ``tracking``, ``spatial`` and more: further measurements."""
 
 from __future__ import annotations
 
 import argparse
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from model_export.cli.speech import add_librispeech, add_speech_commands, uttera
 
 
 def add(commands: Any) -> None:
-    """Add the four commands."""
+    """Add the five commands."""
     ego = commands.add_parser("ego-noise", help="gain of a noise profile: docs/ego-noise.md")
     add_speech_commands(ego)
     ego.add_argument("--scenes", type=int, default=60, help="talkers (default 60)")
@@ -36,6 +37,18 @@ def add(commands: Any) -> None:
     )
     add_split(tracking)
     _add_page(tracking, "docs/tracking.md", _tracking)
+
+    spatial = commands.add_parser(
+        "spatial", help="score talkers above and below arrays with height: docs/results.md"
+    )
+    spatial.add_argument("--bundle", type=Path, nargs="*", default=[], help="bundle folders")
+    add_speech_commands(spatial)
+    spatial.add_argument("--scenes", type=int, default=200, help="scenes a cell (default 200)")
+    spatial.add_argument("--workers", type=int, default=2, help="processes (default 2)")
+    spatial.add_argument("--cells", metavar="PATTERN", default="*", help="only cells like 'cube*'")
+    add_split(spatial)
+    spatial.add_argument("--out", type=Path, help="page whose section to renew (default: print)")
+    spatial.set_defaults(run_command=_spatial)
 
     confidence = commands.add_parser(
         "classical-confidence", help="fit and print the confidences of classical peaks"
@@ -73,6 +86,30 @@ def _tracking(arguments: argparse.Namespace) -> None:
 
     speech = utterances(arguments.librispeech, arguments.split)
     arguments.out.write_text(evaluate(speech, arguments.split, arguments.recordings))
+
+
+def _spatial(arguments: argparse.Namespace) -> None:
+    from model_export.evaluation.evaluate import SEEDS
+    from model_export.evaluation.methods import Methods
+    from model_export.evaluation.sections import renew
+    from model_export.evaluation.spatial import SECTION, document, measure_spatial, spatial_cells
+    from model_export.evaluation.workers import Inputs, Workers
+
+    cells = [cell for cell in spatial_cells() if fnmatchcase(cell.name, arguments.cells)]
+    if not cells:
+        names = ", ".join(cell.name for cell in spatial_cells())
+        raise ValueError(f"no cell matches {arguments.cells!r}; the cells are {names}")
+    if arguments.out and (arguments.cells != "*" or arguments.split != "heldout"):
+        raise ValueError("--cells and --split development only print: remove --out")
+    speech = words(arguments.speech_commands, arguments.split)
+    inputs = Inputs(Methods(arguments.bundle), speech, SEEDS[arguments.split])
+    with Workers.start(inputs, arguments.workers) as workers:
+        tables = measure_spatial(workers, arguments.scenes, cells)
+    text = document(tables, arguments.scenes, arguments.split)
+    if arguments.out:
+        renew(arguments.out, SECTION, text)
+    else:
+        print(text)
 
 
 def _classical_confidence(arguments: argparse.Namespace) -> None:

@@ -17,7 +17,8 @@ from model_export.evaluation.cells import small_room
 from model_export.evaluation.workers import Inputs, Workers
 from model_export.simulation.protocol import SceneProtocol, SimulatedScene, simulate_scene
 from model_export.training.confidences import HIT_DEG, Bin, calibration_error, confidence_bins
-from service.doa.scoring import match
+from service.doa.scoring import match_directions
+from service.doa.steering import unit_vectors
 from service.doa.types import FloatArray
 from service.inference.results import MAX_SOURCES, Source
 
@@ -81,7 +82,7 @@ def answer_mixed_scene(inputs: Inputs, index: int) -> dict[str, Reports]:
     reports = {}
     for name, localizer in inputs.methods.localizers(scene.array).items():
         (estimate,) = localizer.estimate(scene.audio[None], None, MAX_SOURCES)
-        reports[name] = judged(estimate.sources, scene.azimuth)
+        reports[name] = judged(estimate.sources, unit_vectors(scene.azimuth, scene.elevation))
     return reports
 
 
@@ -99,8 +100,12 @@ def mixed_scene(inputs: Inputs, index: int) -> SimulatedScene:
 
 
 def judged(sources: Sequence[Source], truth: FloatArray) -> Reports:
-    """Confidence and correctness of every source, with talkers at ``truth`` (M,) radians."""
-    pairs = match(np.array([source.azimuth for source in sources]), truth)
+    """Confidence and correctness of every source, with talkers at unit vectors ``truth`` (M, 3).
+
+    Sources without an elevation are taken as level.
+    """
+    found = [unit_vectors(np.array(s.azimuth), s.elevation or 0.0) for s in sources]
+    pairs = match_directions(np.array(found).reshape(-1, 3), truth)
     right = {index for index, _, error in pairs if error <= np.deg2rad(HIT_DEG)}
     return [(source.confidence, index in right) for index, source in enumerate(sources)]
 

@@ -105,13 +105,14 @@ class Results:
     def write(self, folder: Path) -> None:
         """Write ``results.json``, and ``results.md`` with the bars and a table per score.
 
-        The section of the paper's comparison in ``results.md`` (``experiments.report``) is kept.
+        Sections of other commands in ``results.md`` are kept: elevated talkers (``spatial``) and
+        the paper's comparison (``experiments.report``).
         """
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "results.json").write_text(json.dumps(asdict(self), indent=1) + "\n")
         document = folder / "results.md"
-        comparison = kept_section(document, "comparison")
-        document.write_text("\n".join(filter(None, [self.document(), comparison])))
+        kept = [kept_section(document, name) for name in ("spatial", "comparison")]
+        document.write_text("\n".join(filter(None, [self.document(), *kept])))
 
     def document(self) -> str:
         """The text of ``results.md``."""

@@ -16,8 +16,8 @@ KINDS = ("ring", "ring_and_centre", "irregular", "three_dimensional")
 
 
 def named_array(name: str) -> MicrophoneArray:
-    """The test array, line or preset of this name; raises UnknownArray if there is none."""
-    return TEST_ARRAYS.get(name) or LINES.get(name) or preset(name)
+    """The array or preset of this name; raises UnknownArray if there is none."""
+    return TEST_ARRAYS.get(name) or LINES.get(name) or SPATIAL_ARRAYS.get(name) or preset(name)
 
 
 def random_array(
@@ -92,3 +92,32 @@ LINES: Mapping[str, MicrophoneArray] = MappingProxyType(
     }
 )
 """Uniform linear arrays along y, for methods that need one; directions are towards +x only"""
+
+_GOLDEN = (1 + 5**0.5) / 2
+_ICOSAHEDRON = np.array(
+    [
+        np.roll((0, first, second * _GOLDEN), turn)
+        for turn in range(3)
+        for first in (-1, 1)
+        for second in (-1, 1)
+    ]
+) / np.hypot(1, _GOLDEN)
+
+SPATIAL_ARRAYS: Mapping[str, MicrophoneArray] = MappingProxyType(
+    {
+        array.name: array
+        for array in (
+            MicrophoneArray(
+                "tetrahedron 50 mm",
+                np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) * 0.05 / 8**0.5,
+            ),
+            MicrophoneArray(
+                "cube 40 mm",
+                np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.02,
+            ),
+            MicrophoneArray("head of 12", _ICOSAHEDRON * [0.065, 0.060, 0.050]),
+        )
+    }
+)
+"""Arrays with height, named by the length of their edges; the head is an ellipsoid of a small
+humanoid's size, whose shadow is not simulated"""

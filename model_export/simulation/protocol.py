@@ -24,7 +24,7 @@ from model_export.simulation.rooms import RoomSpec, impulse_responses, paper_roo
 from model_export.simulation.running_speech import active_power, mean_power, running_speech
 from model_export.simulation.scenes import WINDOW_SAMPLES, convolve
 from service.doa.array import MicrophoneArray
-from service.doa.scoring import circular_error
+from service.doa.sphere import angle_between
 from service.doa.steering import unit_vectors
 from service.doa.types import FloatArray
 
@@ -55,6 +55,8 @@ class SceneProtocol:
     """Fixed angle between two sources; None draws it"""
     azimuths_deg: tuple[float, ...] | None = None
     """Directions to draw from; None draws from the full circle"""
+    elevations_deg: tuple[float, float] = (0.0, 0.0)
+    """Lowest and highest elevation, drawn for every source on its own"""
     continuous: bool = False
     """Talkers speak before, throughout and after the window, not one word from its beginning"""
     num_samples: int = WINDOW_SAMPLES
@@ -70,6 +72,8 @@ class SimulatedScene:
     array: MicrophoneArray
     azimuth: FloatArray
     """(M,) radians"""
+    elevation: FloatArray
+    """(M,) radians above the array's horizontal plane"""
     voiced: bool
     """Every talker speaks in the window: there the dry speech is not ``VOICED_DB`` below its own
     active level"""
@@ -95,8 +99,8 @@ def simulate_scene(
     room = protocol.room or paper_room(
         int(rng.integers(protocol.orders[0], protocol.orders[1] + 1))
     )
-    azimuth, distance = _place(rng, protocol, room)
-    sources = distance[:, None] * unit_vectors(azimuth)
+    azimuth, elevation, distance = _place(rng, protocol, room)
+    sources = distance[:, None] * unit_vectors(azimuth, elevation)
     responses = impulse_responses(room, array.positions, sources)
     clips = rng.integers(len(speech), size=protocol.num_sources)
     audio = np.zeros((array.num_microphones, protocol.num_samples), dtype=np.float32)
@@ -114,6 +118,7 @@ def simulate_scene(
     metadata = {
         "seed": list(seed),
         "azimuth_deg": np.rad2deg(azimuth).round(3).tolist(),
+        "elevation_deg": np.rad2deg(elevation).round(3).tolist(),
         "distance_m": distance.round(3).tolist(),
         "clips": clips.tolist(),
         "snr_db": protocol.snr_db,
@@ -122,7 +127,7 @@ def simulate_scene(
         "voiced": voiced,
         "sample_rate": SAMPLE_RATE,
     }
-    return SimulatedScene(audio, array, azimuth, voiced, metadata)
+    return SimulatedScene(audio, array, azimuth, elevation, voiced, metadata)
 
 
 def write_scenes(
@@ -149,8 +154,8 @@ def _utterance(
 
 def _place(
     rng: np.random.Generator, protocol: SceneProtocol, room: RoomSpec
-) -> tuple[FloatArray, FloatArray]:
-    """Azimuths (M,) and distances (M,) of sources inside the room and far enough apart."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Azimuths, elevations and distances (M,) of sources inside the room and far enough apart."""
     count = protocol.num_sources
     low = 0.1 - np.asarray(room.centre)
     high = np.asarray(room.size) - 0.1 - np.asarray(room.centre)
@@ -162,12 +167,16 @@ def _place(
         if protocol.separation_deg is not None and count == 2:
             azimuth[1] = (azimuth[0] + np.deg2rad(protocol.separation_deg)) % (2 * np.pi)
         distance = rng.uniform(*protocol.distance, count)
-        sources = distance[:, None] * unit_vectors(azimuth)
-        gaps = circular_error(azimuth[:, None], azimuth[None])[np.triu_indices(count, 1)]
+        elevation = np.zeros(count)
+        if any(protocol.elevations_deg):
+            elevation = np.deg2rad(rng.uniform(*protocol.elevations_deg, count))
+        directions = unit_vectors(azimuth, elevation)
+        sources = distance[:, None] * directions
+        gaps = angle_between(directions[:, None], directions[None])[np.triu_indices(count, 1)]
         if (gaps >= np.deg2rad(protocol.min_separation_deg)).all() and (
             ((sources > low) & (sources < high)).all()
         ):
-            return azimuth, distance
+            return azimuth, elevation, distance
     raise ValueError(
         f"no places for {count} sources {protocol.min_separation_deg:g} degrees apart were found "
         f"in a room of {' x '.join(f'{side:g}' for side in room.size)} m: ask for fewer"

@@ -70,10 +70,8 @@ class Outbox:
 
 
 def message_json(message: ServerMessage, *, spectrum: bool = True) -> str:
-    """A message as it is sent; an unwanted spectrum and a pose that nobody sent are absent."""
+    """A message as it is sent; what is unwanted or not there is absent from results, not null."""
     if not isinstance(message, Result):
         return message.model_dump_json()
-    absent = {"pose"} if message.pose is None else set()
-    if message.spectrum is None or not spectrum:
-        absent.add("spectrum")
-    return message.model_dump_json(exclude=absent)
+    absent = {name for name in ("spectrum", "sphere", "pose") if getattr(message, name) is None}
+    return message.model_dump_json(exclude=absent if spectrum else absent | {"spectrum"})

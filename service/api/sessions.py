@@ -45,6 +45,9 @@ Asked = Annotated[
     Query(description="`one` asks only the replica that answers, `all` also those it knows"),
 ]
 
+HistoryRow = tuple[float, float, int, float, bool, float | None]
+"""``(t_end, azimuth_deg, id, confidence, active, elevation_deg)`` of one source"""
+
 router = APIRouter(tags=["streams"])
 
 
@@ -207,12 +210,19 @@ async def _events(entry: SessionEntry, allowed: Callable[[], bool]) -> AsyncIter
         entry.unwatch(watch)
 
 
-def _history(entry: SessionEntry) -> list[tuple[float, float, int, float, bool]]:
-    """``[t_end, azimuth_deg, id, confidence, active]`` for every source of the last minute."""
+def _history(entry: SessionEntry) -> list[HistoryRow]:
+    """Rows for every source of the last minute."""
     history = tuple(entry.reporter.account.history)
     since = history[-1].t_end - HISTORY_S if history else 0.0
     return [
-        (result.t_end, point.azimuth_deg, point.id, point.confidence, point.active)
+        (
+            result.t_end,
+            point.azimuth_deg,
+            point.id,
+            point.confidence,
+            point.active,
+            point.elevation_deg,
+        )
         for result in history
         if result.t_end >= since
         for point in result.points

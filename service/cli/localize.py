@@ -34,11 +34,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--spectrum", action="store_true", help="with --json: every window's spectrum, too"
     )
+    parser.add_argument(
+        "--sphere",
+        action="store_true",
+        help="with --json: every window's spectrum on the sphere, where the array tells elevations",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     prepare_process()
-    asked = read_request(args, spectrum=str(args.spectrum))
+    asked = read_request(args, spectrum="sphere" if args.sphere else str(args.spectrum))
     if args.plot:
         from service.cli.plot import check_drawable
 
@@ -52,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         from service.recordings.answer_json import localization_json
 
-        shown = result if options.spectrum else _without_spectra(result)
+        shown = _without_spectra(result) if args.plot and not options.spectrum else result
         print(localization_json(shown).decode())
     else:
         from service.cli.directions import print_result
@@ -65,7 +70,7 @@ def _without_spectra(result: RecordingResult) -> RecordingResult:
     """The result without the spectra that only the picture needed."""
     from service.recordings.packed_windows import PackedWindows
 
-    windows = PackedWindows(spectrum=False)
+    windows = PackedWindows(spectrum=False, sphere=True)
     for window in result.windows:
         windows.append(window)
     return replace(result, windows=windows)

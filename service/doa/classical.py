@@ -48,7 +48,7 @@ def music(
     ----------
     Schmidt, 1986.
     """
-    return mean_fusion(_music_spectrum(covariance, steering, num_sources, products))
+    return mean_fusion(music_of_bins(covariance, steering, num_sources, products))
 
 
 def norm_music(
@@ -64,16 +64,16 @@ def norm_music(
     Salvati, Drioli, Foresti, 2014, Incoherent frequency fusion for broadband steered response
     power algorithms in noisy environments.
     """
-    return normalised_fusion(_music_spectrum(covariance, steering, num_sources, products))
+    return normalised_fusion(music_of_bins(covariance, steering, num_sources, products))
 
 
-def _music_spectrum(
+def music_of_bins(
     covariance: ComplexArray,
     steering: ComplexArray,
     num_sources: int,
     products: PairProducts | None,
 ) -> FloatArray:
-    """The spectrum of every bin (..., F, A)."""
+    """The MUSIC pseudo-spectrum of every bin (..., F, A); parameters as ``music``."""
     if products is None:
         return music_spectrum(signal_subspace(covariance, num_sources), steering)
     projector = signal_projector(covariance, num_sources)

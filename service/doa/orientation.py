@@ -52,6 +52,17 @@ class Orientation:
         values: FloatArray = np.interp(places % 1 * spectrum.size, np.arange(closed.size), closed)
         return values
 
+    def sphere_on_robot(self, image: FloatArray) -> FloatArray:
+        """An image of the sphere (E, A) of the array's frame in the robot's, as ``spectrum``s are.
+
+        Columns are azimuths from 0, evenly spaced; between two of them values are interpolated.
+        """
+        columns = self.yaw / (2 * math.pi) * image.shape[1]
+        whole = math.floor(columns)
+        turned: FloatArray = np.roll(image, whole, axis=1)
+        share = columns - whole
+        return turned + share * (np.roll(turned, 1, axis=1) - turned) if share else turned
+
 
 def turned(spectra: FloatArray, yaw: float) -> FloatArray:
     """Spectra (..., A) on a circle after a counter-clockwise turn in radians, interpolated."""

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from service.doa.sphere import angle_between
 from service.doa.types import FloatArray, IntArray
 
 OSPA_CUTOFF = np.deg2rad(30.0)
@@ -49,7 +50,15 @@ def circular_error(first: FloatArray, second: FloatArray) -> FloatArray:
 def match(estimated: FloatArray, truth: FloatArray) -> list[tuple[int, int, float]]:
     """Pairs (estimate, truth, error in radians) of the least total error; min(M, M') of them."""
     estimated, truth = validate(estimated), validate(truth)
-    errors = circular_error(estimated[:, None], truth[None])
+    return _pairs(circular_error(estimated[:, None], truth[None]))
+
+
+def match_directions(estimated: FloatArray, truth: FloatArray) -> list[tuple[int, int, float]]:
+    """The same for unit vectors (M', 3) and (M, 3); errors are great-circle angles."""
+    return _pairs(angle_between(estimated[:, None], truth[None]))
+
+
+def _pairs(errors: FloatArray) -> list[tuple[int, int, float]]:
     rows, columns = _assign(errors)
     return [(int(r), int(c), float(errors[r, c])) for r, c in zip(rows, columns, strict=True)]
 

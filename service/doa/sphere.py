@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -19,11 +20,16 @@ MIN_SEPARATION = np.deg2rad(10.0)
 """Radians; of two maxima closer than this only the higher one counts"""
 NUM_AZIMUTHS = 180
 """Azimuths of the spectrum that is left where elevations are taken together"""
+IMAGE_SHAPE = (36, 72)
+"""Elevations and azimuths of an image of the sphere, 5 degrees apart"""
 SMOOTHING = np.deg2rad(5.0)
 """Standard deviation of the weights by which a direction's value is taken from its neighbours'"""
-
-UNKNOWN = 1e-3
-"""Sum of these weights below which a grid does not cover a direction"""
+CLIMB_STEP = np.deg2rad(2.5)
+"""Radians from a direction to the six around it among which a climb finds the highest value"""
+MOST_MOVES = 4
+"""Most times that a climb moves by a step: to the distance between separate maxima"""
+HEXAGON = CLIMB_STEP * np.array([[np.cos(a), np.sin(a)] for a in np.arange(6) * (np.pi / 3)])
+"""Places (6, 2) in radians of these directions"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +40,8 @@ class DirectionGrid:
     """(D, 3) unit vectors; on the whole sphere the second half is opposite the first"""
     neighbours: IntArray
     """(D, 6) indices of the nearest directions; its own where there are fewer"""
+    normal: FloatArray | None = None
+    """(3,) unit vector in the middle of a half; None on the whole sphere"""
 
     @property
     def size(self) -> int:
@@ -45,35 +53,53 @@ class DirectionGrid:
 
     def azimuth_spectrum(self, spectrum: FloatArray) -> FloatArray:
         """The maximum (A,) over the elevations of values (D,), interpolated."""
-        image: FloatArray = self._image_weights @ spectrum
-        highest: FloatArray = image.reshape(-1, NUM_AZIMUTHS).max(axis=0)
+        values: FloatArray = self._azimuth_weights @ spectrum
+        highest: FloatArray = values.reshape(-1, NUM_AZIMUTHS).max(axis=0)
         return highest
+
+    def image(self, spectrum: FloatArray) -> FloatArray:
+        """Values (D,) as an equirectangular image (36, 72), interpolated.
+
+        Rows are elevations, -87.5, -82.5, ... 87.5 degrees; columns are azimuths, 0, 5, ... 355
+        degrees. Directions that the grid does not cover are 0.
+        """
+        values: FloatArray = self._image_weights @ spectrum
+        return values.reshape(IMAGE_SHAPE)
+
+    @cached_property
+    def _azimuth_weights(self) -> scipy.sparse.csr_array:
+        return self._weights(np.deg2rad(np.arange(-85, 90, 10)), NUM_AZIMUTHS)
 
     @cached_property
     def _image_weights(self) -> scipy.sparse.csr_array:
-        """(E A, D) shares of the grid's values in an image of elevations and azimuths."""
-        azimuth = np.arange(NUM_AZIMUTHS) * (2 * np.pi / NUM_AZIMUTHS)
-        elevation = np.deg2rad(np.arange(-85, 90, 10))
+        rows, columns = IMAGE_SHAPE
+        return self._weights(np.deg2rad((np.arange(rows) + 0.5) * 180 / rows - 90), columns)
+
+    def _weights(self, elevation: FloatArray, num_azimuths: int) -> scipy.sparse.csr_array:
+        """(E A, D) shares of the grid's values at E elevations and A azimuths."""
+        azimuth = np.arange(num_azimuths) * (2 * np.pi / num_azimuths)
         wanted = unit_vectors(*np.meshgrid(azimuth, elevation)).reshape(-1, 3)
-        closeness = wanted @ self.vectors.T
-        near = np.argsort(-closeness, axis=1)[:, :6]
-        angle = np.arccos(np.clip(np.take_along_axis(closeness, near, axis=1), -1, 1))
-        weights = np.exp(-np.square(angle / SMOOTHING) / 2)
-        # Directions that the grid does not cover have no value.
-        weights /= np.maximum(weights.sum(axis=1, keepdims=True), UNKNOWN)
+        near, weights = self._nearest(wanted, 6)
         rows = np.repeat(np.arange(len(wanted)), near.shape[1])
         shares = (weights.astype(np.float32).ravel(), (rows, near.ravel()))
         return scipy.sparse.csr_array(shares, shape=(len(wanted), self.size))
 
     def turned(self, spectra: FloatArray, rotation: FloatArray) -> FloatArray:
         """Spectra (F, D) after a rotation (3, 3), interpolated; 0 where none was known."""
-        closeness = self.vectors @ (rotation @ self.vectors.T)
-        near = np.argpartition(-closeness, 2, axis=1)[:, :3]
-        angle = np.arccos(np.clip(np.take_along_axis(closeness, near, axis=1), -1, 1))
-        weights = np.exp(-np.square(angle / SMOOTHING) / 2)
-        weights /= np.maximum(weights.sum(axis=1, keepdims=True), UNKNOWN)
+        near, weights = self._nearest(self.vectors @ rotation, 3)
         values: FloatArray = np.einsum("fdk,dk->fd", spectra[:, near], weights.astype(np.float32))
         return values
+
+    def _nearest(self, wanted: FloatArray, count: int) -> tuple[IntArray, FloatArray]:
+        """Indices and weights (P, count) of the nearest directions of unit vectors (P, 3)."""
+        closeness = wanted @ self.vectors.T
+        near = np.argsort(-closeness, axis=1)[:, :count]
+        angle = np.arccos(np.clip(np.take_along_axis(closeness, near, axis=1), -1, 1))
+        weights = np.exp(-np.square(angle / SMOOTHING) / 2)
+        weights /= weights.sum(axis=1, keepdims=True)
+        if self.normal is not None:  # the other half has no values
+            weights *= (wanted @ self.normal >= -1e-9)[:, None]
+        return near, weights
 
     def peaks(self, spectrum: FloatArray, most: int) -> list[int]:
         """Indices of the largest local maxima of (D,) values, highest first.
@@ -134,6 +160,26 @@ class Paraboloid:
         return np.array([x, y]) * min(1.0, self._most / max(math.hypot(x, y), 1e-9))
 
 
+_PARABOLOID = Paraboloid(HEXAGON)
+
+
+def climbed(start: FloatArray, values: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Unit vector (3,) to the maximum uphill from a direction (3,), at most four steps away.
+
+    ``values`` gives the values (P,) in P directions (P, 3).
+    """
+    middle = start
+    for _ in range(MOST_MOVES):
+        axes = np.array(tangents(middle))
+        around = on_sphere(middle, axes, HEXAGON)
+        found = values(np.concatenate([middle[None], around]))
+        highest = int(found.argmax())
+        if highest == 0:
+            return on_sphere(middle, axes, _PARABOLOID.vertex(found[0], found[1:]))
+        middle = around[highest - 1]
+    return middle
+
+
 @cache
 def whole_sphere() -> DirectionGrid:
     """The directions of a geodesic grid: the vertices of a divided icosahedron."""
@@ -146,7 +192,7 @@ def half_sphere(normal: FloatArray) -> DirectionGrid:
     ``normal`` (3,) points to the side that is kept; directions in the plane belong to it.
     """
     vectors = whole_sphere().vectors
-    return _grid(vectors[vectors @ normal >= -1e-9])
+    return replace(_grid(vectors[vectors @ normal >= -1e-9]), normal=normal)
 
 
 def angle_between(first: FloatArray, second: FloatArray) -> FloatArray:

@@ -25,6 +25,7 @@ import numpy as np
 from neuralmusic.errors import NoiseCalibrationFailed, NoiseMismatch
 from service.doa.array import MicrophoneArray
 from service.doa.silence import SILENCE
+from service.doa.steering import direction_steering
 from service.doa.stft import Stft
 from service.doa.types import ComplexArray, FloatArray
 
@@ -190,6 +191,17 @@ class Whitening:
         norm = np.linalg.norm(whitened, axis=-2, keepdims=True)
         scaled: ComplexArray = whitened * (np.sqrt(np.float32(steering.shape[-2])) / norm)
         return scaled
+
+
+def whitened_steering(
+    whitening: Whitening | None,
+    positions: FloatArray,
+    frequencies: FloatArray,
+    directions: FloatArray,
+) -> ComplexArray:
+    """Steering vectors (F, N, P) of directions (P, 3), whitened where there is a whitening."""
+    steering = direction_steering(positions, frequencies, directions)
+    return steering if whitening is None else whitening.steering(steering)
 
 
 def _frames(stft: Stft) -> str:

@@ -35,6 +35,8 @@ class Candidates:
     """(4, D) float32, the source-count network's input; zeros where there was no further peak"""
     fused: FloatArray
     """(A,) the fused spectrum of azimuths before any removal"""
+    image: FloatArray | None
+    """(36, 72) the same on the sphere; None where only azimuths are searched"""
     field: Field
     findings: Sequence[FoundCandidate]
     """States in which the candidates were found"""
@@ -56,7 +58,12 @@ def find_candidates(field: Field) -> Candidates:
     else:
         fused = attention_fusion(field.cells, field.attention)
     return Candidates(
-        into_half(field.array, found), descriptors, field.azimuth_spectrum(fused), field, findings
+        into_half(field.array, found),
+        descriptors,
+        field.azimuth_spectrum(fused),
+        field.image(fused),
+        field,
+        findings,
     )
 
 

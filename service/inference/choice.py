@@ -65,11 +65,9 @@ def method_warnings(
 
 
 def why_no_elevation(
-    array: MicrophoneArray, hemisphere: Hemisphere, method: Method, bundle: Bundle | None
+    array: MicrophoneArray, hemisphere: Hemisphere, bundle: Bundle | None
 ) -> str | None:
     """The reason why answers hold azimuths only; None where they hold elevations."""
-    if bundle is None:
-        return f"{method} searches azimuths only: choose neural"
-    if bundle.manifest.variant == "regression":
+    if bundle is not None and bundle.manifest.variant == "regression":
         return f"the model {bundle.manifest.name} searches azimuths only"
     return halves.why_no_elevation(array, hemisphere)

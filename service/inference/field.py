@@ -97,6 +97,10 @@ class Field:
         """A fused spectrum on the grid of azimuths: this one."""
         return fused
 
+    def image(self, fused: FloatArray) -> FloatArray | None:
+        """A fused spectrum as an image of the sphere, of which azimuths alone have none."""
+        return None
+
     def find(self, remaining: FloatArray) -> FoundCandidate | None:
         """The highest peak of the cells with the attention (C,) that remains, if there is one."""
         fused = attention_fusion(self.cells, remaining)

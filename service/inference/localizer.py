@@ -19,8 +19,8 @@ from service.inference.windows import Stretch
 class Localizer(Protocol):
     """Anything that localizes windows: a bundle's networks or a classical method."""
 
-    grid_size: int
-    """Number of azimuths in its spectra"""
+    nothing: WindowEstimate
+    """Its estimate of a silent window"""
 
     def estimate(
         self, windows: FloatArray, num_sources: int | None, max_sources: int

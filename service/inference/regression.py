@@ -20,7 +20,7 @@ from service.doa.steering import azimuth_grid, steering_vectors
 from service.doa.types import ComplexArray, FloatArray
 from service.inference.bundle import FUSION, Bundle
 from service.inference.engine import Engine
-from service.inference.results import Source, WindowEstimate
+from service.inference.results import Source, WindowEstimate, nothing_heard
 
 ANY_COUNT = 0
 """Place of the network for any number of sources; windows without a source take it as well"""
@@ -58,11 +58,11 @@ class RegressionLocalizer:
         manifest = bundle.manifest
         self._bundle = bundle
         self._stft = bundle.stft
-        self.grid_size = manifest.grid_size
+        self.nothing = nothing_heard(manifest.grid_size, sphere=False)
         self._frames = manifest.stft.frames
         self._bins = slice(manifest.first_bin, manifest.first_bin + manifest.num_bins)
         self._steering = steering_vectors(
-            array.positions, self._stft.frequencies[self._bins], azimuth_grid(self.grid_size)
+            array.positions, self._stft.frequencies[self._bins], azimuth_grid(manifest.grid_size)
         )
         networks = {ANY_COUNT: bundle.covariance, **bundle.covariance_by_count}
         self._models = {count: _model(bundle, count, each) for count, each in networks.items()}

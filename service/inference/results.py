@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from service.doa.peaks import wrapped
 from service.doa.pose import Rotation
+from service.doa.sphere import IMAGE_SHAPE
 from service.doa.types import FloatArray
 
 MAX_SOURCES = 4
@@ -43,8 +46,23 @@ class WindowEstimate:
     spectrum: FloatArray
     """(A,) broadband spatial spectrum on the azimuth grid, maximum at most 1; (0,) where a
     recording's spectra were not requested"""
+    sphere: FloatArray | None = None
+    """(36, 72) spatial spectrum on the sphere as ``DirectionGrid.image`` orders it, at most 1; None
+    where only azimuths are searched, or a recording's images were not requested"""
     heading: Rotation | None = None
     """Rotation of the frame of all this into the world's, where the array may turn"""
+
+
+def nothing_heard(num_azimuths: int, *, sphere: bool) -> WindowEstimate:
+    """The estimate of silence: spectra of zeros, that of the sphere where it is searched."""
+    image = np.zeros(IMAGE_SHAPE, dtype=np.float32) if sphere else None
+    return WindowEstimate((), np.zeros(num_azimuths, dtype=np.float32), image)
+
+
+def sphere_rows(image: FloatArray) -> list[list[float]]:
+    """An image of the sphere as it is sent, to a thousandth."""
+    rows: list[list[float]] = np.round(image.astype(np.float64), 3).tolist()
+    return rows
 
 
 @dataclass(frozen=True, slots=True)

@@ -55,7 +55,7 @@ class SourceCounter:
             Source(azimuth, float(confidence[index]), elevation=elevation)
             for (azimuth, elevation), index in zip(found, kept, strict=True)
         )
-        return WindowEstimate(sources, window.fused)
+        return WindowEstimate(sources, window.fused, window.image)
 
 
 def surest(confidence: FloatArray, count: int, least: float) -> list[int]:

@@ -12,22 +12,14 @@ from service.doa.music import eigenvector_power
 from service.doa.pose import Rotation
 from service.doa.sphere import (
     DirectionGrid,
-    Paraboloid,
     angle_between,
     azimuth_elevation,
-    on_sphere,
+    climbed,
     tangents,
 )
 from service.doa.types import ComplexArray, FloatArray
 from service.inference.field import NEIGHBOURHOOD, REMOVAL_LEVEL, Field, FoundCandidate
 
-STEP = np.deg2rad(2.5)
-"""Radians from a source to the directions around it in which it is refined"""
-MOST_MOVES = 4
-"""Most times that refinement moves by a step: to the distance between candidates"""
-HEXAGON = STEP * np.array([[np.cos(a), np.sin(a)] for a in np.arange(6) * (np.pi / 3)])
-"""Places (6, 2) in radians of these directions"""
-_PARABOLOID = Paraboloid(HEXAGON)
 TINY = float(np.finfo(np.float32).tiny)
 
 
@@ -65,6 +57,10 @@ class SphereField(Field):
         """A fused spectrum's maximum over the elevations."""
         return self.sphere.grid.azimuth_spectrum(fused)
 
+    def image(self, fused: FloatArray) -> FloatArray:
+        """A fused spectrum as an image of the sphere."""
+        return self.sphere.grid.image(fused)
+
     def find(self, remaining: FloatArray) -> FoundCandidate | None:
         """The highest peak of the cells with the attention (C,) that remains, if there is one."""
         grid = self.sphere.grid
@@ -85,17 +81,11 @@ class SphereField(Field):
     def refined(self, source: FoundCandidate, weights: FloatArray) -> tuple[float, float | None]:
         """Azimuth and elevation of the maximum next to a source, with these weights (C,)."""
         assert source.direction is not None
-        middle = source.direction
-        for _ in range(MOST_MOVES):
-            axes = np.array(tangents(middle))
-            around = on_sphere(middle, axes, HEXAGON)
-            fused = weights @ self._spectra(source.index, np.concatenate([middle[None], around]))
-            highest = int(fused.argmax())
-            if highest == 0:
-                middle = on_sphere(middle, axes, _PARABOLOID.vertex(fused[0], fused[1:]))
-                break
-            middle = around[highest - 1]
-        return azimuth_elevation(middle)
+        return azimuth_elevation(
+            climbed(
+                source.direction, lambda towards: weights @ self._spectra(source.index, towards)
+            )
+        )
 
     def sides(self, findings: Sequence[FoundCandidate]) -> FloatArray:
         """(n,) mean of each candidate's fused spectrum at the grid's directions around its peak."""

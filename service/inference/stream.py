@@ -44,6 +44,8 @@ class StreamLocalizer(Protocol):
 
     window_frames: int
     """Most frames behind an estimate"""
+    nothing: WindowEstimate
+    """Its estimate of silence"""
 
     def push(self, spectra: ComplexArray) -> None:
         """Take the next frames (N, F, L) of all STFT bins, L at least 1."""
@@ -66,6 +68,7 @@ class ClassicalStream:
 
     def __init__(self, localizer: ClassicalLocalizer) -> None:
         self._localizer = localizer
+        self.nothing = localizer.nothing
         self._blocks: deque[tuple[ComplexArray, int]] = deque(maxlen=WINDOW_BLOCKS)
         """Sums over up to eight frames, and the numbers of frames"""
         self._frames = 0
@@ -113,6 +116,7 @@ class WindowStream:
 
     def __init__(self, localizer: RegressionLocalizer, window_frames: int) -> None:
         self._localizer = localizer
+        self.nothing = localizer.nothing
         self._spectra: ComplexArray | None = None
         self._frames = 0
         self.window_frames = window_frames
@@ -151,7 +155,7 @@ def stream_localizer_of(
         If the noise was learnt with another array or other frames.
     """
     if bundle is None:
-        return ClassicalStream(ClassicalLocalizer(method, array, stft, noise))
+        return ClassicalStream(ClassicalLocalizer(method, array, stft, noise, hemisphere))
     if bundle.covariance_stream is not None:
         return WeightsStream(bundle, array, noise, hemisphere)
     if bundle.manifest.variant == "regression":

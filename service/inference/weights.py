@@ -21,19 +21,18 @@ from service.doa.rank_one import RankOneMusic, shared_music
 from service.doa.sphere import NUM_AZIMUTHS
 from service.doa.steering import (
     azimuth_grid,
-    direction_steering,
     resolution,
     sphere_resolution,
     steering_vectors,
 )
 from service.doa.stft import Stft
 from service.doa.types import ComplexArray, FloatArray, IntArray
-from service.doa.whitening import NoiseCovariance, Whitening
+from service.doa.whitening import NoiseCovariance, Whitening, whitened_steering
 from service.inference.bundle import Bundle
 from service.inference.candidates import Candidates, find_candidates
 from service.inference.engine import Engine
 from service.inference.field import Field
-from service.inference.results import WindowEstimate
+from service.inference.results import WindowEstimate, nothing_heard
 from service.inference.source_counter import SourceCounter
 from service.inference.sphere_field import Sphere, SphereField
 from service.inference.windows import Stretch, sliding
@@ -98,7 +97,6 @@ class CandidateSearch:
         self._sphere: Sphere | None = None
         if directions is None:
             grid_size = analysis.grid_size * (1 if array.aperture <= SMALL_APERTURE else 2)
-            self.grid_size = grid_size
             # The floor shrinks for small arrays, whose spectra would else be one broad peak.
             self._resolution = resolution(array.positions, frequencies)
             floor = analysis.floor * self._resolution
@@ -108,12 +106,14 @@ class CandidateSearch:
                 steering = steering_vectors(array.positions, frequencies, azimuth_grid(grid_size))
                 self._music = RankOneMusic(whitening.steering(steering), floor)
         else:
-            self.grid_size = NUM_AZIMUTHS
+            grid_size = NUM_AZIMUTHS
             self._resolution = sphere_resolution(array.positions, frequencies)
             floor = analysis.floor * self._resolution
-            steering_of = partial(_steering, array.positions, frequencies, whitening)
+            steering_of = partial(whitened_steering, whitening, array.positions, frequencies)
             self._sphere = Sphere(directions, steering_of, floor)
             self._music = RankOneMusic(steering_of(directions.vectors), floor)
+        self.nothing = nothing_heard(grid_size, sphere=directions is not None)
+        """The estimate of silence"""
 
     def candidates(self, windows: FloatArray) -> Iterator[Candidates]:
         """Candidate sources of every window (B, N, T), before counting.
@@ -268,17 +268,6 @@ class CandidateSearch:
         return self._music.spectra(principal)
 
 
-def _steering(
-    positions: FloatArray,
-    frequencies: FloatArray,
-    whitening: Whitening | None,
-    directions: FloatArray,
-) -> ComplexArray:
-    """Steering vectors (F, N, P) of directions (P, 3), whitened."""
-    steering = direction_steering(positions, frequencies, directions)
-    return steering if whitening is None else whitening.steering(steering)
-
-
 def whole_blocks(frames: int) -> int:
     """The frames of the nearest number of blocks, at least one."""
     return max(1, round(frames / BLOCK_FRAMES)) * BLOCK_FRAMES
@@ -351,7 +340,7 @@ class WeightsLocalizer:
         self._search = CandidateSearch(
             bundle.covariance, analysis_of(bundle), array, noise, hemisphere
         )
-        self.grid_size = self._search.grid_size
+        self.nothing = self._search.nothing
 
     def estimate(
         self, windows: FloatArray, num_sources: int | None, max_sources: int

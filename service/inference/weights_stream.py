@@ -100,6 +100,7 @@ class WeightsStream:
         analysis = replace(analysis_of(bundle), bins_per_cell=2 if paired else 1)
         self._bins_per_cell = analysis.bins_per_cell
         self._search = CandidateSearch(bundle.covariance, analysis, array, noise, hemisphere)
+        self.nothing = self._search.nothing
         # Refined directions follow a walking talker worse, because older blocks count more.
         self._counter = SourceCounter(bundle.source_count, together=False)
         self._network = NetworkStream(

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict
 
 from neuralmusic.protocol.degrees import azimuth_deg, elevation_deg, unit_vector
 from neuralmusic.protocol.methods import Method
-from service.inference.results import Source
+from service.inference.results import Source, sphere_rows
 from service.recordings.results import RecordingResult, SummarySource, WindowResult
 
 Position = tuple[float, float, float]
@@ -92,17 +92,23 @@ class WindowAnswer(Answer):
     """Most confident first; empty in silence"""
     spectrum: list[float] | None = None
     """Spatial spectrum at 0, 1, ... 359 degrees, at most 1; only on request"""
+    sphere: list[list[float]] | None = None
+    """Spatial spectrum on the sphere, at most 1; only on request: 36 rows at the elevations -87.5,
+    -82.5, ... 87.5 degrees, each with 72 values at the azimuths 0, 5, ... 355; 0 where the array
+    is not searched"""
 
     @classmethod
     def of(cls, window: WindowResult) -> Self:
         sources = [SourceAnswer.of(source) for source in window.estimate.sources]
         spectrum = [round(float(value), 4) for value in window.estimate.spectrum]
+        image = window.estimate.sphere
         return cls(
             t_start=round(window.t_start, 6),
             t_end=round(window.t_end, 6),
             num_sources=len(sources),
             sources=sources,
             **({"spectrum": spectrum} if spectrum else {}),
+            **({} if image is None else {"sphere": sphere_rows(image)}),
         )
 
 

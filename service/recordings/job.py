@@ -20,6 +20,9 @@ MAX_WINDOWS = 50_000
 MAX_SPECTRUM_WINDOWS = 10_000
 """Most windows in one answer with spectra: 360 numbers for every window"""
 
+MAX_SPHERE_WINDOWS = 1_500
+"""Most windows in one answer with images of the sphere: 2,592 numbers for every window"""
+
 
 @dataclass(frozen=True, slots=True)
 class RecordingJob:
@@ -104,8 +107,10 @@ def _check_windows(duration: float, options: LocalizeOptions) -> None:
     hop = options.hop_s
     count = int(duration / hop) + 1
     most = MAX_SPECTRUM_WINDOWS if options.spectrum else MAX_WINDOWS
+    if options.sphere:
+        most = MAX_SPHERE_WINDOWS
     if count > most:
-        spectra = " with spectra" if options.spectrum else ""
+        spectra = " with spectra" if options.spectrum or options.sphere else ""
         least = math.ceil(1000 * duration / (most - 1)) / 1000
         raise InvalidOption(
             f"{duration:.0f} s at hop_s={hop:g} are {count} windows, one answer has at most "

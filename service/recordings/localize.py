@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from neuralmusic.errors import InvalidOption
 from service.audio.recording import Recording
 from service.doa.diagnostics import ChannelDiagnostics
 from service.doa.orientation import Orientation
@@ -75,11 +76,14 @@ def localize_recording(
     channel_map, assumed = choose_channels(recording.channels, array, options.channel_map)
     check_num_sources(options.num_sources, array.num_microphones)
     method, bundle = choose_method(options.method, options.model, array, registry)
+    why_not = why_no_elevation(array, options.hemisphere, bundle)
+    if options.sphere and why_not:
+        raise InvalidOption(f"spectrum=sphere needs an array that tells elevations, but {why_not}")
     stft = bundle.stft if bundle else Stft()
     localizer = (
         localizer_of(bundle, array, options.noise, options.hemisphere)
         if bundle
-        else ClassicalLocalizer(method, array, stft, options.noise)
+        else ClassicalLocalizer(method, array, stft, options.noise, options.hemisphere)
     )
     diagnostics = ChannelDiagnostics(stft.sample_rate, array.num_microphones, channel_map)
     blocks = _observed(recording.blocks(channel_map, stft.sample_rate), diagnostics)
@@ -89,7 +93,7 @@ def localize_recording(
     most = min(STRETCH_WINDOWS, max(1, STRETCH_SAMPLES // of_window))
     joined = _counted(stretches(cut, most), sizes)
     estimated = in_order(partial(_estimate, localizer, options), joined, processes)
-    results = PackedWindows(options.orientation, spectrum=options.spectrum)
+    results = PackedWindows(options.orientation, spectrum=options.spectrum, sphere=options.sphere)
     for window in identified(_placed(estimated, options, recording.duration, progress)):
         results.append(window)
     if progress:
@@ -111,7 +115,7 @@ def localize_recording(
             *method_warnings(options.method, method, array),
         ],
         stretches=sizes,
-        why_no_elevation=why_no_elevation(array, options.hemisphere, method, bundle),
+        why_no_elevation=why_not,
     )
 
 
@@ -127,11 +131,13 @@ def _estimate(
     """Estimates of a stretch's windows; silent ones have no sources."""
     heard = (w[:, : max(n, 1)] for w, n in zip(stretch.windows, stretch.heard, strict=True))
     silent = [float(np.vecdot(each, each).sum()) < SILENCE * each.size for each in heard]
-    nothing = WindowEstimate((), np.zeros(localizer.grid_size, dtype=np.float32))
+    nothing = localizer.nothing
     if all(silent):  # an hour of it compresses to nothing and must cost next to nothing
         return [nothing] * len(silent)
     most = min(options.max_sources, options.array.num_microphones - 1)
     estimates = estimate_stretch(localizer, stretch, options.num_sources, most)
+    if not options.sphere:  # images are large, and estimates may come from another process
+        estimates = [replace(each, sphere=None) for each in estimates]
     return [nothing if s else each for s, each in zip(silent, estimates, strict=True)]
 
 

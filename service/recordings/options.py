@@ -13,12 +13,13 @@ from typing import Any
 
 from neuralmusic.errors import InvalidOption, TooManySources, UnknownMethod
 from neuralmusic.option_text import (
+    SPHERE,
     read_angle,
     read_channel_map,
-    read_flag,
     read_integer,
     read_number,
     read_sectors,
+    read_spectrum,
     read_text,
 )
 from neuralmusic.protocol.message import SHOWN
@@ -137,9 +138,14 @@ OPTIONS: Mapping[str, Option] = {
         "`PUT /noise/{name}` stores one).",
     ),
     "spectrum": Option(
-        read_flag,
-        {"type": "boolean", "default": False},
-        "Whether every window in the answer has its spatial spectrum, 360 values.",
+        read_spectrum,
+        {
+            "oneOf": [{"type": "boolean"}, {"type": "string", "enum": [SPHERE]}],
+            "default": False,
+        },
+        "Whether every window in the answer has its spatial spectrum, 360 values. With `sphere` it "
+        "has an image of the sphere instead, `sphere`: 36 rows of 72 values, where the array "
+        "tells elevations.",
     ),
 }
 
@@ -168,6 +174,8 @@ def read_options(pairs: Iterable[tuple[str, str]]) -> LocalizeRequest:
     values["orientation"] = Orientation.of_degrees(
         values.pop("yaw_deg", 0.0), values.pop("exclude_deg", ())
     )
+    if values.get("spectrum") == SPHERE:
+        values.update(spectrum=False, sphere=True)
     _check(values)
     return LocalizeRequest(LocalizeOptions(**values), noise)
 

@@ -30,12 +30,17 @@ class PackedWindows(Sequence[WindowResult]):
         Turns the spectra when they are read; sources are given in the robot's frame.
     spectrum : bool
         Whether to keep the spectra: 700 to 1,500 bytes a window.
+    sphere : bool
+        Whether to keep the images of the sphere: 10 kB a window.
     """
 
-    def __init__(self, orientation: Orientation = ALIGNED, *, spectrum: bool = True) -> None:
+    def __init__(
+        self, orientation: Orientation = ALIGNED, *, spectrum: bool = True, sphere: bool = False
+    ) -> None:
         self._orientation = orientation
         self._windows: list[bytes] = []
         self._spectra: list[FloatArray] | None = [] if spectrum else None
+        self._spheres: list[FloatArray | None] | None = [] if sphere else None
 
     def append(self, window: WindowResult) -> None:
         """Add the next window: sources in the robot's frame, spectrum in the array's."""
@@ -52,6 +57,8 @@ class PackedWindows(Sequence[WindowResult]):
         self._windows.append(head + b"".join(sources))
         if self._spectra is not None:
             self._spectra.append(window.estimate.spectrum.copy())
+        if self._spheres is not None:
+            self._spheres.append(window.estimate.sphere)
 
     def __len__(self) -> int:
         return len(self._windows)
@@ -76,12 +83,17 @@ class PackedWindows(Sequence[WindowResult]):
             for azimuth, confidence, track, elevation in _SOURCE.iter_unpack(packed[_HEAD.size :])
         )
         t_start, t_end = _HEAD.unpack_from(packed)
-        return WindowResult(t_start, t_end, WindowEstimate(sources, self._turned(index)))
+        estimate = WindowEstimate(sources, self._spectrum(index), self._sphere(index))
+        return WindowResult(t_start, t_end, estimate)
 
     def __iter__(self) -> Iterator[WindowResult]:
         return (self[index] for index in range(len(self)))
 
-    def _turned(self, index: int) -> FloatArray:
+    def _spectrum(self, index: int) -> FloatArray:
         if self._spectra is None:
             return NO_SPECTRUM
         return self._orientation.spectrum_on_robot(self._spectra[index])
+
+    def _sphere(self, index: int) -> FloatArray | None:
+        image = None if self._spheres is None else self._spheres[index]
+        return None if image is None else self._orientation.sphere_on_robot(image)

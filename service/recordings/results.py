@@ -68,6 +68,8 @@ class LocalizeOptions:
     """Side of the horizontal plane on which sources are"""
     spectrum: bool = False
     """Whether every window keeps its spatial spectrum; without it a window is a few numbers"""
+    sphere: bool = False
+    """Whether every window keeps its image of the sphere"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 // The microphone array: a preset or positions of one's own, and which channel is which microphone.
 
-import { arrayPlot } from "./array-plot.js";
+import { arrayPlots } from "./array-plot.js";
 import { byId, element, mark, showFacts } from "./dom.js";
 import { GeometryEditor } from "./geometry-editor.js";
 import { facts, hints } from "./geometry.js";
@@ -114,7 +114,7 @@ export class ArrayChoice {
   #show() {
     const { positions } = this;
     const drawable = positions.length && positions.every((p) => p.every(Number.isFinite));
-    byId("array-plot").replaceChildren(...(drawable ? [arrayPlot(positions)] : []));
+    byId("array-plot").replaceChildren(...(drawable ? arrayPlots(positions) : []));
     showFacts(byId("array-facts"), drawable ? facts(positions) : {});
     const found = hints(positions).map((text) => element("li", { text }));
     byId("array-hints").replaceChildren(...found);

@@ -7,6 +7,7 @@ import { byId, element, showFacts, showProblem } from "./dom.js";
 import { exportAddress, save } from "./api.js";
 import { hasKey } from "./key.js";
 import { showSources, showWarnings } from "./readout.js";
+import { Sky } from "./sky.js";
 import { Strip } from "./strip.js";
 import { Timeline } from "./timeline.js";
 import { METHODS, duration, whyNoSource } from "./words.js";
@@ -15,12 +16,14 @@ const HISTORY = 60; // seconds
 const SHORTEST = 15; // seconds that are shown at least: a young session fills them sooner
 const DOTS_PER_S = 5; // that the size of the dots leaves room for; closer ones make a line
 const MAX_WARNINGS = 8;
+const TRAIL = 10; // seconds that the sky shows
 
 export class LiveView {
   #frame = 0;
 
   constructor() {
     this.dial = new Dial(byId("live-dial"));
+    this.sky = new Sky(byId("live-sky"));
     this.timeline = new Timeline(byId("live-timeline"));
     this.#reset();
   }
@@ -79,6 +82,7 @@ export class LiveView {
     this.interval = 0.1;
     this.strip = new Strip(HISTORY / this.interval);
     this.dial.rest();
+    this.sky.rest();
     this.timeline.set(this.#minute(0));
     showProblem(byId("live-problem"), null);
     byId("live-note").textContent = "";
@@ -92,6 +96,7 @@ export class LiveView {
     this.interval = timing.interval_ms / 1000;
     this.strip = new Strip(HISTORY / this.interval);
     this.dial.setArray(array.positions_m);
+    this.sky.told = (array.why_no_elevation ?? null) === null;
     this.facts = {
       Array: array.name,
       Method: model ? `${model.name} ${model.version}` : METHODS[method],
@@ -118,15 +123,18 @@ export class LiveView {
   }
 
   #history(points) {
-    this.points = points.map(([t, azimuth, id, confidence, active]) => ({
+    this.points = points.map(([t, azimuth, id, confidence, active, elevation]) => ({
       t,
       azimuth,
+      elevation,
       confidence,
       active,
       slot: this.colours.of(id),
     }));
     const last = this.points.at(-1);
-    if (last) this.timeline.set(this.#minute(last.t));
+    if (!last) return;
+    this.timeline.set(this.#minute(last.t));
+    this.#showTrail(last.t);
   }
 
   #result(result) {
@@ -136,8 +144,8 @@ export class LiveView {
       elevation: source.elevation_deg,
       slot: this.colours.of(source.id),
     }));
-    for (const { azimuth, confidence, active, slot } of sources) {
-      this.points.push({ t: result.t_end, azimuth, confidence, active, slot });
+    for (const { azimuth, elevation, confidence, active, slot } of sources) {
+      this.points.push({ t: result.t_end, azimuth, elevation, confidence, active, slot });
     }
     // Here, not where it is drawn: a hidden page draws nothing, but goes on hearing.
     const old = this.points.findIndex(({ t }) => t > result.t_end - HISTORY);
@@ -153,12 +161,18 @@ export class LiveView {
     if (!this.latest) return;
     const { result, sources } = this.latest;
     this.dial.show({ spectrum: result.spectrum, sources });
+    this.sky.show(sources);
+    this.#showTrail(result.t_end);
     this.timeline.set(this.#minute(result.t_end));
     this.#showTitle();
     byId("live-note").textContent = sources.length ? "" : whyNoSource(result.why_no_source);
     showSources(byId("live-sources"), sources);
     this.facts.Lag = `${Math.round(result.lag_ms)} ms`;
     showFacts(byId("live-facts"), this.facts);
+  }
+
+  #showTrail(now) {
+    this.sky.setTrail(this.points.filter(({ t }) => t > now - TRAIL));
   }
 
   #minute(now) {

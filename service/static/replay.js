@@ -71,6 +71,7 @@ function startOf(setup, { encoding, sampleRate, channels }) {
     array: setup.array.message,
     ...(map ? { channel_map: map.match(/\d+/g).map(Number) } : {}),
     ...setup.method,
+    ...setup.hemisphere,
     output,
     client: clientName(setup.file.name),
   };

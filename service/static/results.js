@@ -5,6 +5,7 @@ import { RecordingColours } from "./colours.js";
 import { byId, element } from "./dom.js";
 import { Player } from "./player.js";
 import { showSources, showWarnings } from "./readout.js";
+import { Sky } from "./sky.js";
 import { Strip } from "./strip.js";
 import { Timeline } from "./timeline.js";
 import { METHODS, duration, percent } from "./words.js";
@@ -18,6 +19,7 @@ export class Results {
 
   constructor(dial) {
     this.dial = dial;
+    this.sky = new Sky(byId("sky"));
     this.canvas = byId("timeline");
     this.timeline = new Timeline(this.canvas, (t) => this.#seek(t));
     this.canvas.addEventListener("keydown", (event) => this.#key(event));
@@ -35,9 +37,12 @@ export class Results {
     this.#windows = answer.windows;
     this.colours = new RecordingColours(answer);
     this.dial.setArray(answer.array.positions_m);
+    this.sky.told = (answer.array.why_no_elevation ?? null) === null;
+    const points = answer.windows.flatMap((window) => this.#points(window));
+    this.sky.setTrail(points);
     const strong = answer.windows.reduce((best, w, i) => (score(w) > score(answer.windows[best]) ? i : best), 0);
     this.timeline.set({
-      points: answer.windows.flatMap((window) => this.#points(window)),
+      points,
       strip: Strip.of(answer.windows.map((window) => window.spectrum)),
       range: [0, answer.audio.duration_s],
       columns: answer.windows.length,
@@ -55,6 +60,7 @@ export class Results {
     this.#windows = [];
     this.player.stop();
     this.dial.rest();
+    this.sky.rest();
     byId("window-title").textContent = "At rest";
     byId("window-note").textContent = "Press Localize.";
     showSources(byId("window-sources"), []);
@@ -66,6 +72,7 @@ export class Results {
     return window.sources.map((source) => ({
       t,
       azimuth: source.azimuth_deg,
+      elevation: source.elevation_deg,
       confidence: source.confidence,
       slot: this.colours.of(source),
     }));
@@ -94,6 +101,7 @@ export class Results {
     }));
     const { t_start: from, t_end: to } = window;
     this.dial.show({ spectrum: window.spectrum, sources });
+    this.sky.show(sources);
     this.timeline.set({ band: [from, to] });
     byId("window-title").textContent = `${from.toFixed(2)} to ${to.toFixed(2)} s`;
     byId("window-note").textContent = sources.length ? "" : "No source in this window.";

@@ -24,6 +24,7 @@ export class Setup {
     const options = counts.map((n) => element("option", { value: n, text: n }));
     byId("num-sources").replaceChildren(estimate, ...options);
     byId("num-sources").addEventListener("change", onChange);
+    byId("hemisphere").addEventListener("change", onChange);
     byId("method").addEventListener("change", () => {
       this.#describeMethod();
       onChange();
@@ -96,12 +97,19 @@ export class Setup {
     return Number(byId("num-sources").value) || null;
   }
 
+  /** The side on which all sources are, only where one was chosen. */
+  get hemisphere() {
+    const { value } = byId("hemisphere");
+    return value ? { hemisphere: value } : {};
+  }
+
   /** The options of POST /localize. */
   get options() {
     const options = { array: this.array.option, spectrum: "true", ...this.method };
     const given = {
       channel_map: this.array.channelMap,
       num_sources: byId("num-sources").value,
+      hemisphere: byId("hemisphere").value,
       window_s: byId("window-s").value,
       hop_s: byId("hop-s").value,
     };

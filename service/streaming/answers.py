@@ -17,6 +17,7 @@ from neuralmusic.protocol.server_messages import (
 from service.doa.orientation import Orientation
 from service.doa.peaks import find_peaks
 from service.doa.tracking import Track
+from service.inference.results import sphere_rows
 from service.streaming.pipeline import Estimate
 
 ODAS_PLACES = 4
@@ -38,10 +39,13 @@ def result_fields(
         "sources": sources,
         "why_no_source": estimate.why_no_source,
         "spectrum": None,
+        "sphere": None,
     }
     if estimate.pose is not None:
         yaw, pitch, roll = map(degrees, estimate.pose.angles)
         fields["pose"] = PoseInUse(yaw_deg=yaw, pitch_deg=pitch, roll_deg=roll)
+    if estimate.sphere is not None:
+        fields["sphere"] = sphere_rows(orientation.sphere_on_robot(estimate.sphere))
     if spectrum:
         turned = orientation.spectrum_on_robot(estimate.spectrum)
         fields["spectrum"] = [round(value, 4) for value in turned.tolist()]

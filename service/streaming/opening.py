@@ -79,9 +79,7 @@ def opened(
         array=StreamArray(
             name=plan.array.name,
             positions_m=plan.array.positions.tolist(),
-            why_no_elevation=why_no_elevation(
-                plan.array, plan.hemisphere, plan.method, plan.bundle
-            ),
+            why_no_elevation=why_no_elevation(plan.array, plan.hemisphere, plan.bundle),
         ),
         channel_map=plan.channel_map,
         sample_rate=plan.stft.sample_rate,

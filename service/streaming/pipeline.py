@@ -78,6 +78,8 @@ class Estimate(NamedTuple):
     """Time of the session's clock at which the last of its audio arrived; None before any did"""
     pose: Rotation | None = None
     """The robot's rotation into the world's frame, where it sends poses"""
+    sphere: FloatArray | None = None
+    """(36, 72) image of the sphere, where it is asked for and elevations are told"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,6 +282,7 @@ class StreamPipeline:
             spectrum=estimate.spectrum,
             why_no_source=None if tracks else why,
             arrived=self._arrived,
+            sphere=estimate.sphere if "sphere" in output.include else None,
         )
         return result if turned is None else self._in_frame(result, estimate, turned, output)
 
@@ -292,11 +295,12 @@ class StreamPipeline:
         way = STILL
         if output.frame == "world":
             way = mounted.inverse.after(turned.inverse)
-        spectrum = result.spectrum
-        if estimate.heading is not None:
-            spectrum = turned_spectrum(spectrum, way.after(turned).after(estimate.heading).yaw)
-        tracks = tuple(track.turned(way) for track in result.tracks)
-        return result._replace(tracks=tracks, spectrum=spectrum, pose=pose)
+        result = result._replace(tracks=tuple(t.turned(way) for t in result.tracks), pose=pose)
+        if estimate.heading is None:
+            return result
+        yaw = way.after(turned).after(estimate.heading).yaw
+        sphere = None if result.sphere is None else turned_spectrum(result.sphere, yaw)
+        return result._replace(spectrum=turned_spectrum(result.spectrum, yaw), sphere=sphere)
 
     def _localize(self, output: OutputOptions) -> tuple[WindowEstimate, WhyNoSource]:
         """The latest window's estimate, and why there would be no source."""
@@ -306,9 +310,9 @@ class StreamPipeline:
             self._fresh.clear()
             self._localizer.push(spectra)
         if self._frames == 0:
-            return _NOTHING, "warming_up"
+            return self._localizer.nothing, "warming_up"
         if self._power() < SILENCE:
-            return _NOTHING, "silence"
+            return self._localizer.nothing, "silence"
         most = min(output.max_sources, self._plan.array.num_microphones - 1)
         headings = partial(self._frame_heading, output=output) if self._poses else None
         estimate = self._localizer.estimate(output.num_sources, most, headings)
@@ -346,6 +350,3 @@ class _Calibration:
     @property
     def complete(self) -> bool:
         return self.estimator.seconds >= self.seconds
-
-
-_NOTHING = WindowEstimate((), np.zeros(360, dtype=np.float32))

@@ -13,6 +13,7 @@ import soundfile
 from running_service import RunningService
 
 from neuralmusic import LocalizationClient, ServiceProblem, StreamClient
+from neuralmusic.protocol.methods import METHODS
 from neuralmusic.protocol.server_messages import OdasSst, Ready, Result
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
@@ -93,14 +94,63 @@ def test_what_has_none_says_why_and_a_wrong_side_is_refused(
     client: LocalizationClient, plane_waves: Any
 ) -> None:
     recording = wav(heard(plane_waves, TETRAHEDRON))
-    answer = client.localize(recording, array=TETRAHEDRON.positions, method="norm_music")
-    assert answer["summary"]["sources"][0]["elevation_deg"] is None
-    assert answer["array"]["why_no_elevation"].startswith("norm_music searches azimuths only")
     line = [[0.0, y, 0.0] for y in (0.0, 0.03, 0.06, 0.09)]
     answer = client.localize(recording, array=line, hemisphere="upper")
+    assert answer["summary"]["sources"][0]["elevation_deg"] is None
     assert "one line" in answer["array"]["why_no_elevation"]
+    with pytest.raises(ServiceProblem, match="needs an array that tells elevations, but the micro"):
+        client.localize(recording, array=SQUARE.name, spectrum="sphere")
     with pytest.raises(ServiceProblem, match="hemisphere must be one of both, upper, lower"):
         client.localize(recording, array=SQUARE.name, hemisphere="left")  # type: ignore[arg-type]
+
+
+def highest(image: list[list[float]]) -> tuple[float, float]:
+    """Azimuth and elevation in degrees of an image's highest value, as documented."""
+    values = np.array(image)
+    assert values.shape == (36, 72)
+    assert 0.3 < values.max() <= 1
+    row, column = np.unravel_index(values.argmax(), values.shape)
+    return 5.0 * column, 5.0 * row - 87.5
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_gives_an_image_of_the_sphere(
+    client: LocalizationClient, plane_waves: Any, method: Any
+) -> None:
+    recording = wav(heard(plane_waves, TETRAHEDRON))
+    answer = client.localize(
+        recording, array=TETRAHEDRON.positions, method=method, spectrum="sphere", yaw_deg=30
+    )
+    for window in answer["windows"]:
+        assert "spectrum" not in window
+        assert highest(window["sphere"]) == pytest.approx((AZIMUTH + 30, ELEVATION), abs=6)
+    (source,) = answer["summary"]["sources"]
+    assert source["elevation_deg"] == pytest.approx(ELEVATION, abs=3)
+
+
+@pytest.mark.parametrize("hemisphere", ["upper", "both"])
+def test_a_stream_gives_images_where_elevations_are_told(
+    service: RunningService, plane_waves: Any, hemisphere: Any
+) -> None:
+    with StreamClient(
+        service.url,
+        audio={"encoding": "pcm_f32le", "sample_rate": 16000, "channels": 4},
+        array={"name": SQUARE.name},
+        method="srp_phat",
+        hemisphere=hemisphere,
+        output={"include": ["sphere"], "yaw_deg": 20},
+        overflow="block",
+    ) as stream:
+        stream.send(np.ascontiguousarray(heard(plane_waves, SQUARE).T).tobytes())
+        stream.stop()
+        last = [event for event in stream if isinstance(event, Result)][-1]
+    assert last.spectrum is None
+    if hemisphere == "both":
+        assert last.sphere is None
+        return
+    assert last.sphere is not None
+    assert highest(last.sphere) == pytest.approx((AZIMUTH + 20, ELEVATION), abs=6)
+    assert not np.any(last.sphere[:18])  # below the plane nothing is searched
 
 
 @pytest.mark.parametrize("format", ["doa", "odas"])

@@ -15,7 +15,7 @@ from neuralmusic.protocol.names import MAX_LABEL, NAME
 
 Position = tuple[float, float, float]
 Sector = tuple[float, float]
-Include = Literal["spectrum"]
+Include = Literal["spectrum", "sphere"]
 OutputFormat = Literal["doa", "odas"]
 Frame = Literal["robot", "world"]
 MIN_INTERVAL_MS, MAX_INTERVAL_MS = 20, 1000
@@ -62,7 +62,8 @@ class OutputOptions(Message):
     num_sources: Optional[Annotated[int, Field(ge=1, le=4)]] = None
     """The known number of sources, excluded ones included; null lets the service count"""
     include: tuple[Include, ...] = ()
-    """`spectrum` adds 360 values of the spatial spectrum to every result"""
+    """`spectrum` adds 360 values of the spatial spectrum to every result, `sphere` an image of the
+    sphere where the array tells elevations"""
     format: OutputFormat = "doa"
     """`odas` sends ODAS' SSL and SST objects (`ssl` and `sst`) instead of `result`"""
     yaw_deg: float = 0.0

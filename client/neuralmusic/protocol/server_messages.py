@@ -177,6 +177,11 @@ class Result(ServerMessage):
     unless `include` names it"""
     pose: Optional[PoseInUse] = None
     """The robot's pose at `t_end`; absent, not null, where no pose was sent"""
+    sphere: Optional[list[list[float]]] = None
+    """Spatial spectrum on the sphere, at most 1: 36 rows at the elevations -87.5, -82.5, ... 87.5
+    degrees, each with 72 values at the azimuths 0, 5, ... 355, yaw offset included; 0 where the
+    array is not searched. Absent, not null, unless `include` names it and the array tells
+    elevations (`ready.array.why_no_elevation`)"""
     lag_ms: float
     """Milliseconds between the arrival of the window's last audio and this result"""
     final: bool = False

@@ -7,7 +7,7 @@ a newer service's fields are not lost.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from typing_extensions import Self
 
@@ -70,7 +70,7 @@ class LocalizationClient:
         exclude_deg: Sectors | None = None,
         hemisphere: Hemisphere | None = None,
         noise: str | None = None,
-        spectrum: bool | None = None,
+        spectrum: bool | Literal["sphere"] | None = None,
     ) -> Answer:
         """Directions of arrival in a recording.
 
@@ -101,8 +101,9 @@ class LocalizationClient:
             level array then tells elevations.
         noise : str, optional
             A stored profile of the robot's own noise.
-        spectrum : bool, optional
-            Whether every window has its spatial spectrum, 360 values.
+        spectrum : bool or str, optional
+            Whether every window has its spatial spectrum, 360 values; ``"sphere"`` gives an
+            image of the sphere instead, 36 elevations of 72 azimuths.
 
         Returns
         -------
@@ -189,7 +190,7 @@ class AsyncLocalizationClient:
         exclude_deg: Sectors | None = None,
         hemisphere: Hemisphere | None = None,
         noise: str | None = None,
-        spectrum: bool | None = None,
+        spectrum: bool | Literal["sphere"] | None = None,
     ) -> Answer:
         """Directions of arrival in a recording, as ``LocalizationClient.localize``."""
         options = {

@@ -60,6 +60,11 @@ class Continuity:
         self._before: dict[int, tuple[float, Vector]] = {}
         """Places of the sessions before, whose ids may be given again"""
 
+    @property
+    def offset_s(self) -> float:
+        """Seconds of the stream at which the session in progress began."""
+        return self._offset_s
+
     def begin(self, ready: Ready, now: float) -> tuple[Ready, NewSession | None]:
         """The ``ready`` of another session as the stream tells it, and what it follows.
 

@@ -192,7 +192,8 @@ class StreamControls:
         num_sources : int or None
             The known number of sources; None lets the service count.
         include : sequence of str
-            ``["spectrum"]`` adds 360 values of the spatial spectrum to every result.
+            ``spectrum`` adds 360 values of the spatial spectrum to every result, ``sphere`` an
+            image of the sphere where the array tells elevations.
         format : str
             ``doa``, or ``odas`` for ODAS' objects instead of results.
         yaw_deg : float
@@ -252,8 +253,7 @@ class StreamControls:
         quaternion_xyzw : sequence of float, optional
             The rotation as a quaternion, instead of the angles.
         t : float, optional
-            Seconds of audio since the session's start; by default the end of the audio sent so
-            far.
+            Seconds of the stream, as ``t_end``; by default the end of the audio sent so far.
         capture_time_ns : int, optional
             The same by the clock of the audio's ``seq_time`` headers.
 
@@ -262,7 +262,8 @@ class StreamControls:
         InvalidMessage
             If a number is not finite, or too much or too little is given.
         """
-        fields: dict[str, Any] = {"type": "pose", "t": t, "capture_time_ns": capture_time_ns}
+        here = None if t is None else t - self._sessions.began_s
+        fields: dict[str, Any] = {"type": "pose", "t": here, "capture_time_ns": capture_time_ns}
         if quaternion_xyzw is None:
             fields |= {"yaw_deg": yaw_deg, "pitch_deg": pitch_deg, "roll_deg": roll_deg}
         else:

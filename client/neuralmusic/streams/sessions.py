@@ -155,6 +155,11 @@ class Sessions:
         self.check_running()
         self.outgoing.add_text(message.model_dump_json(exclude_unset=True))
 
+    @property
+    def began_s(self) -> float:
+        """Seconds of the stream at which the session in progress began; 0 for the first one."""
+        return self._continuity.offset_s
+
     async def stop(self, timeout_s: float) -> Summary:
         """Send waiting audio, end the session and wait for its summary."""
         self.check_running()

@@ -14,8 +14,15 @@ def source(azimuth_deg: float, confidence: float) -> Source:
 
 
 def test_a_report_is_right_once_per_talker() -> None:
-    reports = judged([source(355, 0.9), source(8, 0.8), source(120, 0.7)], np.deg2rad([2.0, 200.0]))
+    truth = [[np.cos(a), np.sin(a), 0.0] for a in np.deg2rad([2.0, 200.0])]
+    reports = judged([source(355, 0.9), source(8, 0.8), source(120, 0.7)], np.array(truth))
     assert reports == [(0.9, False), (0.8, True), (0.7, False)]
+
+
+def test_a_report_at_the_wrong_elevation_is_wrong() -> None:
+    above = np.array([[np.cos(0.5), 0.0, np.sin(0.5)]])
+    reports = judged([source(0, 0.9), Source(0.0, 0.8, elevation=0.45)], above)
+    assert reports == [(0.9, False), (0.8, True)]
 
 
 def test_the_error_is_the_distance_of_confidence_and_truth_in_every_bin() -> None:

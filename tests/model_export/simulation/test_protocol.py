@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +38,7 @@ from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
 from service.doa.scoring import circular_error
 from service.doa.steering import unit_vectors
+from service.inference.classical import ClassicalLocalizer
 
 ANECHOIC = RoomSpec((8.0, 8.0, 4.0), (4.0, 4.0, 2.0), rt60=0.0)
 
@@ -88,6 +91,29 @@ def test_sources_keep_their_distance_from_each_other(voices) -> None:
         assert np.rad2deg(gaps[np.triu_indices(3, 1)].min()) >= 40
     pair = simulate_scene(SceneProtocol(num_sources=2, separation_deg=30.0), voices, [4, 99])
     assert np.rad2deg(circular_error(*pair.azimuth)) == pytest.approx(30)
+
+
+def test_talkers_above_and_below_are_where_the_scene_says(voices) -> None:
+    protocol = SceneProtocol(
+        array="tetrahedron 50 mm",
+        num_sources=2,
+        orders=(0, 0),
+        snr_db=200.0,
+        elevations_deg=(-60, 80),
+        min_separation_deg=60,
+    )
+    scene = simulate_scene(protocol, voices, [8, 1])
+    level = np.cos(scene.elevation)
+    towards = np.stack(
+        [level * np.cos(scene.azimuth), level * np.sin(scene.azimuth), np.sin(scene.elevation)]
+    )
+    assert towards[:, 0] @ towards[:, 1] <= np.cos(np.deg2rad(60))
+    assert np.abs(np.rad2deg(scene.elevation)).max() > 10
+    alone = simulate_scene(replace(protocol, num_sources=1), voices, [8, 2])
+    (found,) = ClassicalLocalizer("norm_music", alone.array).estimate(alone.audio[None], 1, 1)
+    (source,) = found.sources
+    assert source.elevation == pytest.approx(alone.elevation[0], abs=0.1)
+    assert math.cos(source.azimuth - alone.azimuth[0]) > 0.98
 
 
 def test_continuous_talkers_leave_no_pause(voices) -> None:

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.doa.orientation import ALIGNED, Orientation
+from service.doa.types import FloatArray
 
 angles = st.floats(-720, 720)
 
@@ -44,6 +45,16 @@ def test_a_spectrum_turns_with_its_peak_and_has_360_values(size: int, yaw: float
     expected = np.exp(3 * np.cos(np.deg2rad(np.arange(360) - 70 - yaw)))
     assert turned.shape == (360,)
     assert np.abs(turned - expected).max() < 0.01 * expected.max()
+
+
+@pytest.mark.parametrize("yaw", [0.0, 30.0, -17.0, 362.5])
+def test_an_image_of_the_sphere_turns_as_its_azimuths_do(yaw: float) -> None:
+    def seen(turned: float) -> FloatArray:
+        azimuth = np.deg2rad(np.arange(0, 360, 5) - 70 - turned)
+        return np.arange(1, 37)[:, None] * np.exp(np.cos(azimuth))
+
+    turned = Orientation.of_degrees(yaw, ()).sphere_on_robot(seen(0.0))
+    np.testing.assert_allclose(turned, seen(yaw), rtol=0.003)
 
 
 def test_aligned_changes_nothing() -> None:

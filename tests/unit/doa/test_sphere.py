@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -99,6 +101,27 @@ def test_the_spectrum_of_azimuths_is_the_highest_of_every_elevation() -> None:
         off = azimuth_grid(len(flat))[flat.argmax()] - azimuth
         assert abs(np.rad2deg(np.arctan2(np.sin(off), np.cos(off)))) < 9
         assert 0.5 * spectrum.max() < flat.max() <= spectrum.max()
+
+
+@pytest.mark.parametrize(("azimuth_deg", "elevation_deg"), [(40, 62.5), (355, -2.5), (0, -87.5)])
+def test_an_image_has_rows_of_elevations_and_columns_of_azimuths(
+    azimuth_deg: float, elevation_deg: float
+) -> None:
+    grid = whole_sphere()
+    truth = direction(math.radians(azimuth_deg), math.radians(elevation_deg))
+    image = grid.image(np.exp(8 * (grid.vectors @ truth - 1)))
+    assert image.shape == (36, 72)
+    row, column = np.unravel_index(image.argmax(), image.shape)
+    seen = direction(math.radians(5 * column), math.radians(5 * row - 87.5))
+    assert np.rad2deg(angle_between(seen, truth)) < 6
+    assert 0.9 < image.max() <= 1
+
+
+def test_an_image_is_zero_where_nothing_is_searched() -> None:
+    half = half_sphere(np.array([1.0, 0.0, 0.0]))  # ahead
+    image = half.image(np.ones(half.size))
+    ahead = np.cos(np.deg2rad(np.arange(0, 360, 5))) >= -1e-9
+    np.testing.assert_allclose(image, np.tile(ahead.astype(float), (36, 1)), atol=1e-5)
 
 
 def test_steering_vectors_of_directions_are_those_of_their_angles() -> None:

@@ -15,7 +15,7 @@ from service.doa.diagnostics import Finding
 from service.doa.presets import preset
 from service.doa.types import FloatArray
 from service.inference.registry import BundleRegistry
-from service.inference.results import Source, WindowEstimate
+from service.inference.results import Source, WindowEstimate, nothing_heard
 from service.recordings import localize as recording_module
 from service.recordings.answer_json import localization_json
 from service.recordings.localize import localize_recording
@@ -37,13 +37,13 @@ SPECTRUM = 4 * 180
 class TwoTalkers:
     """A localizer that takes no time: two sources in every window, and a spectrum."""
 
-    grid_size = 180
+    nothing = nothing_heard(180, sphere=False)
 
     def estimate(
         self, windows: FloatArray, num_sources: int | None, max_sources: int
     ) -> list[WindowEstimate]:
         sources = (Source(0.5, 0.9), Source(2.5, 0.8))
-        return [WindowEstimate(sources, np.ones(self.grid_size, np.float32)) for _ in windows]
+        return [WindowEstimate(sources, np.ones(180, np.float32)) for _ in windows]
 
 
 class Silent:
