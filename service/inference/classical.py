@@ -102,7 +102,7 @@ class ClassicalLocalizer:
             int(np.searchsorted(frequencies, band[0])),
             int(np.searchsorted(frequencies, band[1], side="right")),
         )
-        self._grid = shared_grid(array.positions, frequencies[self._band])
+        self._grid = shared_grid(array.steered, frequencies[self._band])
         self._whitening: Whitening | None = None
         if noise is not None:
             self._whitening = Whitening.fitting(noise, array, self._stft).band(self._band)

@@ -30,7 +30,12 @@ from service.inference.windows import Stretch, stretches, windows
 from service.recordings.forked_workers import in_order
 from service.recordings.identities import identified
 from service.recordings.packed_windows import PackedWindows
-from service.recordings.results import LocalizeOptions, RecordingResult, WindowResult
+from service.recordings.results import (
+    SHORTEST_WINDOW_S,
+    LocalizeOptions,
+    RecordingResult,
+    WindowResult,
+)
 from service.recordings.summary import summarise
 
 STRETCH_WINDOWS = 12
@@ -45,6 +50,17 @@ LENGTH_UNKNOWN = AudioWarning(
     "the header does not say how long the recording is, as of a recorder that writes into a pipe: "
     "it was read to its end, which may not be the recording's",
 )
+
+
+def too_short(duration: float) -> list[AudioWarning]:
+    """The warning about a recording of so many seconds that is too short to localize in."""
+    if duration >= SHORTEST_WINDOW_S:
+        return []
+    detail = (
+        f"the recording is {1000 * duration:.0f} ms long, and sources are counted in "
+        f"{1000 * SHORTEST_WINDOW_S:g} ms and more: record at least half a second"
+    )
+    return [AudioWarning("too_short", detail)]
 
 
 def localize_recording(
@@ -88,7 +104,8 @@ def localize_recording(
     of_window = array.num_microphones * round(options.window_s * stft.sample_rate)
     most = min(STRETCH_WINDOWS, max(1, STRETCH_SAMPLES // of_window))
     joined = _counted(stretches(cut, most), sizes)
-    estimated = in_order(partial(_estimate, localizer, options), joined, processes)
+    shortest = round(SHORTEST_WINDOW_S * stft.sample_rate)
+    estimated = in_order(partial(_estimate, localizer, options, shortest), joined, processes)
     results = PackedWindows(options.orientation, spectrum=options.spectrum)
     for window in identified(_placed(estimated, options, recording.duration, progress)):
         results.append(window)
@@ -107,8 +124,9 @@ def localize_recording(
         warnings=[
             *assumed,
             *([LENGTH_UNKNOWN] if recording.open_ended else []),
+            *too_short(recording.duration),
             *(AudioWarning(f.code, f.detail) for f in diagnostics.findings(array)),
-            *method_warnings(options.method, method, array),
+            *method_warnings(options.method, method, bundle, array),
         ],
         stretches=sizes,
         why_no_elevation=why_no_elevation(array, options.hemisphere, method, bundle),
@@ -122,11 +140,17 @@ def _counted(joined: Iterable[Stretch], sizes: Counter[int]) -> Iterator[Stretch
 
 
 def _estimate(
-    localizer: Localizer, options: LocalizeOptions, stretch: Stretch
+    localizer: Localizer, options: LocalizeOptions, shortest: int, stretch: Stretch
 ) -> list[WindowEstimate]:
-    """Estimates of a stretch's windows; silent ones have no sources."""
+    """Estimates of a stretch's windows; silent ones have no sources.
+
+    Nor have those with fewer than ``shortest`` samples of sound, unless their number is known: in
+    a few frames any noise looks like one source.
+    """
     heard = (w[:, : max(n, 1)] for w, n in zip(stretch.windows, stretch.heard, strict=True))
     silent = [float(np.vecdot(each, each).sum()) < SILENCE * each.size for each in heard]
+    if options.num_sources is None:
+        silent = [s or n < shortest for s, n in zip(silent, stretch.heard, strict=True)]
     nothing = WindowEstimate((), np.zeros(localizer.grid_size, dtype=np.float32))
     if all(silent):  # an hour of it compresses to nothing and must cost next to nothing
         return [nothing] * len(silent)

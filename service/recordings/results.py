@@ -11,6 +11,8 @@ from service.doa.orientation import ALIGNED, Orientation
 from service.doa.whitening import NoiseCovariance
 from service.inference.results import AudioWarning, ModelIdentity, WindowEstimate
 
+SHORTEST_WINDOW_S = 0.128
+"""Seconds of the eight frames that the first covariance takes"""
 DEFAULT_WINDOW_S = 1.024
 DEFAULT_HOP_S = 0.512
 DEFAULT_MAX_SOURCES = 3

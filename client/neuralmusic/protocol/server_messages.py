@@ -30,6 +30,7 @@ WarningCode = Literal[
     "noise_mismatch",
     "calibration_failed",
     "length_unknown",
+    "too_short",
 ]
 WhyNoSource = Literal["silence", "no_direction", "unconfirmed", "excluded", "warming_up"]
 
