@@ -22,7 +22,7 @@ from model_export.simulation.scenes import WINDOW_SAMPLES, convolve
 from service.doa.array import MicrophoneArray
 from service.doa.scoring import circular_error
 from service.doa.steering import unit_vectors
-from service.doa.types import FloatArray
+from service.doa.types import BoolArray, FloatArray
 from service.inference.bundle import Bundle
 from service.inference.classical import ClassicalLocalizer
 from service.inference.localizer import Localizer, localizer_of
@@ -134,7 +134,10 @@ def sweep(
 
 def table(outcomes: Sequence[Outcome]) -> str:
     """A Markdown table by the number of microphones."""
-    rows = ["| microphones | talkers | NormMUSIC | model | lost | others |", "|---|---|---|---|---|---|"]
+    rows = [
+        "| microphones | talkers | NormMUSIC | model | lost | others |",
+        "|---|---|---|---|---|---|",
+    ]
     for number in (*sorted({outcome.case.microphones for outcome in outcomes}), None):
         chosen = [each for each in outcomes if number in (None, each.case.microphones)]
         lost = sum(each.classical and not each.neural for each in chosen)
@@ -155,15 +158,13 @@ def _scene(
     """Audio (N, T) float32 of one talker at the array's height, and its azimuth."""
     azimuth = rng.uniform(-FRONT, FRONT) if array.linear else rng.uniform(-np.pi, np.pi)
     direction = unit_vectors(np.array(azimuth))
-    dry = speech[rng.integers(len(speech))][:WINDOW_SAMPLES]
+    dry = speech[int(rng.integers(len(speech)))][:WINDOW_SAMPLES]
     if case.shape == RIGID:
         wet = _scattered(dry, array.positions, direction)
     else:
         room = RoomSpec(ROOM_SIZE, CENTRE, rt60=case.rt60)
         source = DISTANCE * direction[None]
-        responses = impulse_responses(
-            room, array.positions, source, highest_order=HIGHEST_ORDER
-        )
+        responses = impulse_responses(room, array.positions, source, highest_order=HIGHEST_ORDER)
         wet = convolve(dry, responses[0])
     wet = unit_power(wet[:, :WINDOW_SAMPLES])
     noise = np.float32(10 ** (-case.snr_db / 20)) * sensor_noise(rng, wet.shape)
@@ -180,8 +181,8 @@ def _scattered(dry: FloatArray, positions: FloatArray, direction: FloatArray) ->
     return audio[:, :WINDOW_SAMPLES].astype(np.float32)
 
 
-def _found(localizer: Localizer, audio: FloatArray, azimuth: float) -> FloatArray:
-    """Whether each reported source (M,) is within 10 degrees of the talker, bool."""
+def _found(localizer: Localizer, audio: FloatArray, azimuth: float) -> BoolArray:
+    """Whether each reported source (M,) is within 10 degrees of the talker."""
     (estimate,) = localizer.estimate(audio[None], None, 3)
     reported = np.array([source.azimuth for source in estimate.sources])
     return np.asarray(circular_error(reported, np.array(azimuth)) <= HIT)

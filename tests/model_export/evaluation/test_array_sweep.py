@@ -76,7 +76,9 @@ def test_a_rigid_sphere_scatters_as_physics_has_it() -> None:
     ends = radius * np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0]])
     response = rigid_sphere_response(ends, np.array([10.0, 40_000.0]), np.array([1.0, 0, 0]))
     phase = 2 * np.pi * 10 * radius / 343
-    np.testing.assert_allclose(np.angle(response[:, 0]), 1.5 * phase * np.array([1, -1, 0]), atol=1e-5)
+    np.testing.assert_allclose(
+        np.angle(response[:, 0]), 1.5 * phase * np.array([1, -1, 0]), atol=1e-5
+    )
     assert abs(response[0, 1]) == pytest.approx(2, rel=0.01)
 
 
@@ -84,7 +86,9 @@ def test_the_table_counts_by_the_number_of_microphones() -> None:
     def outcome(number: int, *found: bool, others: int = 0) -> Outcome:
         return Outcome(Case("ring r 50 mm", number, 0.0, 30.0), *found, others)
 
-    rows = table([outcome(4, True, True), outcome(8, True, False), outcome(8, False, True, others=2)])
+    rows = table(
+        [outcome(4, True, True), outcome(8, True, False), outcome(8, False, True, others=2)]
+    )
     assert rows.splitlines()[2:] == [
         "| 4 | 1 | 1 | 1 | 0 | 0 |",
         "| 8 | 2 | 1 | 1 | 1 | 2 |",
