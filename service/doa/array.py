@@ -23,8 +23,8 @@ MIN_SPACING = 1e-4  # m; two microphones cannot stand at one point
 MIRROR_SPREAD = 2.5e-3
 """Root mean square distance in metres from a line or plane from which microphones tell a direction
 from its mirror image. Below it 1 mm of error in the positions turns as much phase as the image
-does: of 400 simulated talkers one in four was found behind arrays of 0.5 to 2 mm, none from 2.5 mm
-on (``tests/model_export/test_mirror_images.py``)"""
+does: of 92 simulated talkers before and behind arrays of less than 2 mm, known to 1 mm, one in four
+was found on the wrong side, and of 86 with 2.5 mm and more none"""
 SPEED_OF_SOUND = 343.0  # m/s at 20 degrees Celsius
 
 
