@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     prepare_process()
     from service.doa.diagnostics import ChannelDiagnostics, LevelMeter
     from service.inference.geometry import choose_channels
-    from service.recordings.localize import too_short
+    from service.recordings.results import too_short
 
     array = read_array(args.array) if args.array is not None else None
     with open_recording(args.file) as recording:

@@ -35,6 +35,7 @@ from service.recordings.results import (
     LocalizeOptions,
     RecordingResult,
     WindowResult,
+    too_short,
 )
 from service.recordings.summary import summarise
 
@@ -50,17 +51,6 @@ LENGTH_UNKNOWN = AudioWarning(
     "the header does not say how long the recording is, as of a recorder that writes into a pipe: "
     "it was read to its end, which may not be the recording's",
 )
-
-
-def too_short(duration: float) -> list[AudioWarning]:
-    """The warning about a recording of so many seconds that is too short to localize in."""
-    if duration >= SHORTEST_WINDOW_S:
-        return []
-    detail = (
-        f"the recording is {1000 * duration:.0f} ms long, and sources are counted in "
-        f"{1000 * SHORTEST_WINDOW_S:g} ms and more: record at least half a second"
-    )
-    return [AudioWarning("too_short", detail)]
 
 
 def localize_recording(
