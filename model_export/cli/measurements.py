@@ -1,4 +1,4 @@
-"""``ego-noise``, ``mistakes``, ``tracking``, ``spatial`` and more: further measurements."""
+"""Further measurements: ``ego-noise``, ``mistakes``, ``tracking``, ``array-sweep`` and others."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from model_export.cli.speech import add_librispeech, add_speech_commands, uttera
 
 
 def add(commands: Any) -> None:
-    """Add the five commands."""
+    """Add the commands."""
     ego = commands.add_parser("ego-noise", help="gain of a noise profile: docs/ego-noise.md")
     add_speech_commands(ego)
     ego.add_argument("--scenes", type=int, default=60, help="talkers (default 60)")
@@ -57,6 +57,13 @@ def add(commands: Any) -> None:
     confidence.add_argument("--windows", type=int, default=1800, help="windows (default 1800)")
     confidence.add_argument("--seed", type=int, default=11)
     confidence.set_defaults(run_command=_classical_confidence)
+
+    arrays = commands.add_parser(
+        "array-sweep", help="one talker before arrays of 2 to 64 microphones: print who is found"
+    )
+    add_speech_commands(arrays)
+    arrays.add_argument("--seed", type=int, default=23)
+    arrays.set_defaults(run_command=_array_sweep)
 
 
 def _add_page(parser: argparse.ArgumentParser, page: str, run: Any) -> None:
@@ -117,3 +124,15 @@ def _classical_confidence(arguments: argparse.Namespace) -> None:
 
     speech = words(arguments.speech_commands, "development")
     print("\n".join(fitted_curves(speech, arguments.windows, arguments.seed)))
+
+
+def _array_sweep(arguments: argparse.Namespace) -> None:
+    from rich.progress import track
+
+    from model_export.evaluation.array_sweep import cases, sweep, table
+    from service.inference.registry import BundleRegistry
+
+    speech, swept = words(arguments.speech_commands, "heldout"), list(cases())
+    bundle = BundleRegistry.load().get("any-array")
+    outcomes = sweep(swept, speech, bundle, arguments.seed)
+    print(table(list(track(outcomes, description="sweeping arrays", total=len(swept)))))

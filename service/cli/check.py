@@ -39,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
     prepare_process()
     from service.doa.diagnostics import ChannelDiagnostics, LevelMeter
     from service.inference.geometry import choose_channels
+    from service.recordings.results import too_short
 
     array = read_array(args.array) if args.array is not None else None
     with open_recording(args.file) as recording:
@@ -54,17 +55,18 @@ def run(args: argparse.Namespace) -> int:
             "channels": recording.channels,
             "duration_s": round(recording.duration, 6),
         }
-    report = diagnostics.report(array)
+        short = too_short(recording.duration)
+    report, warnings = diagnostics.report(array), [*assumed, *short]
     if args.json:
-        print(json.dumps(_document(audio, chosen, assumed, meter.levels(), report), indent=2))
+        print(json.dumps(_document(audio, chosen, warnings, meter.levels(), report), indent=2))
     else:
         console = output()
         line(console, f"{args.file}: {_summary(audio)}", "bold")
         _print_levels(console, meter.levels(), chosen)
-        for warning in assumed:
+        for warning in warnings:
             warn(console, warning.code, warning.detail)
-        _print_findings(console, report)
-    return FOUND if report.findings else 0
+        _print_findings(console, report, faultless=not (report.findings or short))
+    return FOUND if report.findings or short else 0
 
 
 def _summary(audio: dict[str, Any]) -> str:
@@ -74,7 +76,7 @@ def _summary(audio: dict[str, Any]) -> str:
 def _document(
     audio: dict[str, Any],
     chosen: Sequence[int],
-    assumed: Sequence[AudioWarning],
+    warnings: Sequence[AudioWarning],
     levels: ChannelLevels,
     report: DiagnosticReport,
 ) -> dict[str, Any]:
@@ -96,7 +98,7 @@ def _document(
     return {
         "audio": audio,
         "channel_map": list(chosen),
-        "warnings": [{"code": warning.code, "detail": warning.detail} for warning in assumed],
+        "warnings": [{"code": warning.code, "detail": warning.detail} for warning in warnings],
         "levels": channels,
         "findings": findings,
         "geometry_unchecked": report.unchecked,
@@ -129,10 +131,10 @@ def _bar(level: float) -> str:
     return "█" * round(BAR_WIDTH * min(max(share, 0.0), 1.0))
 
 
-def _print_findings(console: Console, report: DiagnosticReport) -> None:
+def _print_findings(console: Console, report: DiagnosticReport, *, faultless: bool) -> None:
     for finding in report.findings:
         line(console, f"{finding.code}: {finding.detail}", "yellow")
-    if not report.findings:
+    if faultless:
         line(console, "nothing wrong found", "green")
     if report.unchecked == "no array was named":
         line(console, "order and delays of the channels were not checked: name the --array")

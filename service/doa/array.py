@@ -11,12 +11,20 @@ from neuralmusic.errors import InvalidChannelMap, InvalidGeometry
 from service.doa.types import FloatArray
 
 MIN_MICROPHONES = 2
-MAX_MICROPHONES = 32
+MAX_MICROPHONES = 64
 MIN_APERTURE = 0.01  # m; below it the delays vanish in the noise
-MAX_APERTURE = 2.0  # m; above it talkers are in the near field and the unit is suspect
+MAX_APERTURE = 2.0
+"""Metres. Sound takes 6 ms across, a fifth of the 32 ms frames in which delays are phases; farther
+apart the microphones no longer hear the same piece of it. Within a room's distance of so large an
+array a talker has no single direction either"""
 MAX_DISTANCE = 100.0  # m, from the frame's origin; far away the differences lose their digits
 ROUNDING = 1e-6  # m; a ring of 5 mm radius computed from angles may miss 1 cm by a bit
 MIN_SPACING = 1e-4  # m; two microphones cannot stand at one point
+MIRROR_SPREAD = 2.5e-3
+"""Root mean square distance in metres from a line or plane from which microphones tell a direction
+from its mirror image. Below it 1 mm of error in the positions turns as much phase as the image
+does: of 92 simulated talkers before and behind arrays of less than 2 mm, known to 1 mm, one in four
+was found on the wrong side, and of 86 with 2.5 mm and more none"""
 SPEED_OF_SOUND = 343.0  # m/s at 20 degrees Celsius
 
 
@@ -41,7 +49,7 @@ class MicrophoneArray:
     Raises
     ------
     InvalidGeometry
-        If the positions are not 2 to 32 distinct finite points with an aperture between 1 cm
+        If the positions are not 2 to 64 distinct finite points with an aperture between 1 cm
         and 2 m, or less than 1 cm of it is horizontal.
     """
 
@@ -49,16 +57,16 @@ class MicrophoneArray:
     positions: FloatArray
     source: str = ""
     linear: bool = field(init=False)
-    """True where all microphones lie on one line seen from above, as in a vertical plane: the two
-    sides cannot be told apart"""
+    """True where all microphones lie within ``MIRROR_SPREAD`` of one line seen from above, as in a
+    vertical plane: the two sides cannot be told apart"""
 
     def __post_init__(self) -> None:
         positions = np.array(self.positions, dtype=np.float64)
         validate_positions(positions)
         positions.setflags(write=False)
         object.__setattr__(self, "positions", positions)
-        spread = np.linalg.svd(self._from_above, compute_uv=False)
-        object.__setattr__(self, "linear", bool(spread[1] < MIN_SPACING))
+        spread = np.linalg.svd(self._from_above, compute_uv=False) / np.sqrt(len(positions))
+        object.__setattr__(self, "linear", bool(spread[1] < MIRROR_SPREAD))
 
     @property
     def _from_above(self) -> FloatArray:
@@ -71,6 +79,18 @@ class MicrophoneArray:
         """(2,) unit vector in x and y along which the microphones spread most."""
         axis: FloatArray = np.linalg.svd(self._from_above)[2][0]
         return axis
+
+    @property
+    def steered(self) -> FloatArray:
+        """(N, 3) positions for steering vectors: those of a linear array moved onto its line.
+
+        What is left beside the line would tell sides by position errors.
+        """
+        if not self.linear:
+            return self.positions
+        line = self.positions.copy()
+        line[:, :2] += np.outer(self._from_above @ self.axis, self.axis) - self._from_above
+        return line
 
     @property
     def num_microphones(self) -> int:
@@ -182,8 +202,12 @@ def validate_channel_map(channel_map: Sequence[int], num_microphones: int) -> tu
 def _unit_hint(aperture: float) -> str:
     if MIN_APERTURE <= aperture / 1000 <= MAX_APERTURE and aperture > 20:
         return "positions are in metres; these look like millimetres, divide them by 1000"
-    if MIN_APERTURE <= aperture / 100 <= MAX_APERTURE and aperture > MAX_APERTURE:
-        return "positions are in metres; these look like centimetres, divide them by 100"
+    if aperture > MAX_APERTURE and aperture / 100 <= MAX_APERTURE:
+        return (
+            f"sound takes {1000 * aperture / SPEED_OF_SOUND:.0f} ms across them, too long for "
+            "phases of 32 ms frames, and a talker among them is in no single direction; use one "
+            "array of up to 2 m at a time, or divide by 100 if these are centimetres"
+        )
     if MIN_APERTURE <= aperture * 1000 <= MAX_APERTURE:
         return "positions are in metres; these look like kilometres, multiply them by 1000"
     return "positions are in metres; check their unit"

@@ -15,7 +15,7 @@ from service.doa.array import MicrophoneArray
 from service.doa.fusion import attention_fusion
 from service.doa.mirror import into_searched_half
 from service.doa.types import FloatArray
-from service.inference.descriptors import NUM_DESCRIPTORS, describe
+from service.inference.descriptors import MOST_TRAINED, NUM_DESCRIPTORS, OF_WINDOW, describe
 from service.inference.field import Field, FoundCandidate
 
 Direction = tuple[float, float | None]
@@ -32,7 +32,8 @@ class Candidates:
     directions: Sequence[Direction]
     """Directions as found; for a linear array in the half circle that it tells from the other"""
     descriptors: FloatArray
-    """(4, D) float32, the source-count network's input; zeros where there was no further peak"""
+    """(4, D) float32, the source-count network's input; zeros where there was no further peak, but
+    for what candidates share in arrays larger than in training"""
     fused: FloatArray
     """(A,) the fused spectrum of azimuths before any removal"""
     image: FloatArray | None
@@ -54,6 +55,10 @@ def find_candidates(field: Field) -> Candidates:
     descriptors = np.zeros((NUM_CANDIDATES, NUM_DESCRIPTORS), dtype=np.float32)
     if findings:
         descriptors[: len(findings)] = describe(field, findings)
+        if field.array.num_microphones > MOST_TRAINED:
+            # Many microphones in a dry place find one peak only. In training all four candidates
+            # were there but for one window in a thousand, and what they share was never zero.
+            descriptors[len(findings) :, OF_WINDOW] = descriptors[0, OF_WINDOW]
         fused = findings[0].fused
     else:
         fused = attention_fusion(field.cells, field.attention)

@@ -48,19 +48,17 @@ def choose_method(
 
 
 def method_warnings(
-    asked: Method | None, method: Method, array: MicrophoneArray
+    asked: Method | None, method: Method, bundle: Bundle | None, array: MicrophoneArray
 ) -> list[AudioWarning]:
     """Warnings about what the chosen method and the array's shape mean for the directions."""
     found = []
     if asked is None and method != "neural":
         detail = f"no loaded model fits the array {array.name}: {method} was used instead"
         found.append(AudioWarning("no_model_for_array", detail))
-    if array.linear:
-        detail = (
-            "all microphones lie on one line, seen from above: every direction has a mirror image "
-            "behind the line, which is left out"
-        )
-        found.append(AudioWarning("front_back_ambiguous", detail))
+    elevations = bundle is not None and bundle.manifest.variant == "weights"
+    one_side = halves.why_one_side(array, elevations=elevations)
+    if one_side is not None:
+        found.append(AudioWarning("front_back_ambiguous", one_side))
     return found
 
 

@@ -131,13 +131,13 @@ class ClassicalLocalizer:
         self._least_contrast = (SPHERE_LEAST_CONTRAST if self._sphere else LEAST_CONTRAST)[method]
         self._chances = (SPHERE_CHANCES if self._sphere else CHANCES)[method]
         band_frequencies = frequencies[self._band]
-        self._grid = shared_grid(array.positions, band_frequencies, directions)
+        self._grid = shared_grid(array.steered, band_frequencies, directions)
         self._whitening: Whitening | None = None
         if noise is not None:
             self._whitening = Whitening.fitting(noise, array, self._stft).band(self._band)
             self._grid = Grid(self._whitening.steering(self._grid.steering))
         self._steering: Callable[[FloatArray], ComplexArray] = partial(
-            whitened_steering, self._whitening, array.positions, band_frequencies
+            whitened_steering, self._whitening, array.steered, band_frequencies
         )
         """Steering vectors (F, N, P) of directions (P, 3)"""
         self._searched = searched_half(array, azimuth_grid())

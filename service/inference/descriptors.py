@@ -13,6 +13,12 @@ from service.doa.types import FloatArray
 from service.inference.field import Field, FoundCandidate
 
 NUM_DESCRIPTORS = 21
+MOST_TRAINED = 8
+"""Most microphones of the arrays that the source-count network was trained on; larger arrays count
+as arrays of eight"""
+OF_WINDOW = slice(10, 14)
+"""Descriptors that all candidates of a window share: its attention to dominated cells, loudness,
+number of microphones and resolution"""
 SHARP_LEVEL = 0.9
 TINY = np.finfo(np.float32).tiny
 """Least divisor"""
@@ -41,7 +47,7 @@ def describe(field: Field, findings: Sequence[FoundCandidate]) -> FloatArray:
         _nearest_earlier(field, findings),
         field.attention @ field.dominance / total,
         0.1 * np.log(total / cells + 1e-6),  # loudness
-        field.array.num_microphones / 8,
+        min(field.array.num_microphones, MOST_TRAINED) / MOST_TRAINED,
         field.resolution,
         dominant,
         sharp.sum(axis=1),

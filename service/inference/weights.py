@@ -93,23 +93,24 @@ class CandidateSearch:
         if noise is not None:
             whitening = Whitening.fitting(noise, array, analysis.stft).band(self._bins)
         self._whitening = whitening
+        positions = array.steered
         directions = searched_directions(array, hemisphere)
         self._sphere: Sphere | None = None
         if directions is None:
             grid_size = analysis.grid_size * (1 if array.aperture <= SMALL_APERTURE else 2)
             # The floor shrinks for small arrays, whose spectra would else be one broad peak.
-            self._resolution = resolution(array.positions, frequencies)
+            self._resolution = resolution(positions, frequencies)
             floor = analysis.floor * self._resolution
             if whitening is None:
-                self._music = shared_music(array.positions, frequencies, grid_size, floor)
+                self._music = shared_music(positions, frequencies, grid_size, floor)
             else:
-                steering = steering_vectors(array.positions, frequencies, azimuth_grid(grid_size))
+                steering = steering_vectors(positions, frequencies, azimuth_grid(grid_size))
                 self._music = RankOneMusic(whitening.steering(steering), floor)
         else:
             grid_size = NUM_AZIMUTHS
-            self._resolution = sphere_resolution(array.positions, frequencies)
+            self._resolution = sphere_resolution(positions, frequencies)
             floor = analysis.floor * self._resolution
-            steering_of = partial(whitened_steering, whitening, array.positions, frequencies)
+            steering_of = partial(whitened_steering, whitening, positions, frequencies)
             self._sphere = Sphere(directions, steering_of, floor)
             self._music = RankOneMusic(steering_of(directions.vectors), floor)
         self.nothing = nothing_heard(grid_size, sphere=directions is not None)

@@ -31,7 +31,13 @@ from service.inference.windows import Stretch, stretches, windows
 from service.recordings.forked_workers import in_order
 from service.recordings.identities import identified
 from service.recordings.packed_windows import PackedWindows
-from service.recordings.results import LocalizeOptions, RecordingResult, WindowResult
+from service.recordings.results import (
+    SHORTEST_WINDOW_S,
+    LocalizeOptions,
+    RecordingResult,
+    WindowResult,
+    too_short,
+)
 from service.recordings.summary import summarise
 
 STRETCH_WINDOWS = 12
@@ -92,7 +98,8 @@ def localize_recording(
     of_window = array.num_microphones * round(options.window_s * stft.sample_rate)
     most = min(STRETCH_WINDOWS, max(1, STRETCH_SAMPLES // of_window))
     joined = _counted(stretches(cut, most), sizes)
-    estimated = in_order(partial(_estimate, localizer, options), joined, processes)
+    shortest = round(SHORTEST_WINDOW_S * stft.sample_rate)
+    estimated = in_order(partial(_estimate, localizer, options, shortest), joined, processes)
     results = PackedWindows(options.orientation, spectrum=options.spectrum, sphere=options.sphere)
     for window in identified(_placed(estimated, options, recording.duration, progress)):
         results.append(window)
@@ -111,8 +118,9 @@ def localize_recording(
         warnings=[
             *assumed,
             *([LENGTH_UNKNOWN] if recording.open_ended else []),
+            *too_short(recording.duration),
             *(AudioWarning(f.code, f.detail) for f in diagnostics.findings(array)),
-            *method_warnings(options.method, method, array),
+            *method_warnings(options.method, method, bundle, array),
         ],
         stretches=sizes,
         why_no_elevation=why_not,
@@ -126,11 +134,17 @@ def _counted(joined: Iterable[Stretch], sizes: Counter[int]) -> Iterator[Stretch
 
 
 def _estimate(
-    localizer: Localizer, options: LocalizeOptions, stretch: Stretch
+    localizer: Localizer, options: LocalizeOptions, shortest: int, stretch: Stretch
 ) -> list[WindowEstimate]:
-    """Estimates of a stretch's windows; silent ones have no sources."""
+    """Estimates of a stretch's windows; silent ones have no sources.
+
+    Nor have those with fewer than ``shortest`` samples of sound, unless their number is known: in
+    a few frames any noise looks like one source.
+    """
     heard = (w[:, : max(n, 1)] for w, n in zip(stretch.windows, stretch.heard, strict=True))
     silent = [float(np.vecdot(each, each).sum()) < SILENCE * each.size for each in heard]
+    if options.num_sources is None:
+        silent = [s or n < shortest for s, n in zip(silent, stretch.heard, strict=True)]
     nothing = localizer.nothing
     if all(silent):  # an hour of it compresses to nothing and must cost next to nothing
         return [nothing] * len(silent)

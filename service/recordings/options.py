@@ -33,6 +33,7 @@ from service.recordings.results import (
     DEFAULT_HOP_S,
     DEFAULT_MAX_SOURCES,
     DEFAULT_WINDOW_S,
+    SHORTEST_WINDOW_S,
     LocalizeOptions,
 )
 
@@ -110,7 +111,7 @@ OPTIONS: Mapping[str, Option] = {
     "max_sources": integer(
         1, MAX_SOURCES, DEFAULT_MAX_SOURCES, "Most sources where the number is estimated."
     ),
-    "window_s": number(0.128, 10, DEFAULT_WINDOW_S, "Seconds of audio per result."),
+    "window_s": number(SHORTEST_WINDOW_S, 10, DEFAULT_WINDOW_S, "Seconds of audio per result."),
     "hop_s": number(0.02, 10, DEFAULT_HOP_S, "Seconds from one result to the next."),
     "yaw_deg": Option(
         read_angle,

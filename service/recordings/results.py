@@ -11,6 +11,8 @@ from service.doa.orientation import ALIGNED, Orientation
 from service.doa.whitening import NoiseCovariance
 from service.inference.results import AudioWarning, ModelIdentity, WindowEstimate
 
+SHORTEST_WINDOW_S = 0.128
+"""Seconds of the eight frames that the first covariance takes"""
 DEFAULT_WINDOW_S = 1.024
 DEFAULT_HOP_S = 0.512
 DEFAULT_MAX_SOURCES = 3
@@ -93,3 +95,14 @@ class RecordingResult:
     """Counts by the number of windows that were computed at a time"""
     why_no_elevation: str | None = None
     """Reason why sources have azimuths only; None where they have elevations"""
+
+
+def too_short(duration: float) -> list[AudioWarning]:
+    """The warning about a recording of so many seconds that is too short to localize in."""
+    if duration >= SHORTEST_WINDOW_S:
+        return []
+    detail = (
+        f"the recording is {1000 * duration:.0f} ms long, and sources are counted in "
+        f"{1000 * SHORTEST_WINDOW_S:g} ms and more: record at least half a second"
+    )
+    return [AudioWarning("too_short", detail)]

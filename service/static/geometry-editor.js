@@ -3,7 +3,7 @@
 import { element, mark } from "./dom.js";
 import { whyWrong } from "./geometry.js";
 
-const MAX_MICROPHONES = 32;
+const MAX_MICROPHONES = 64;
 const AXES = ["x", "y", "z"];
 const FORM = 'a list of [x, y, z] in metres, or {"positions_m": [...]}';
 

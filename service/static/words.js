@@ -10,6 +10,7 @@ const MINOR = {
   dc_offset: "Constant offset",
   band_limited: "High frequencies are missing",
   length_unknown: "The recording's length is not known",
+  too_short: "Too short",
   channel_map_assumed: "The device's channels were assumed",
   no_model_for_array: "No model for this array",
   calibration_failed: "The calibration failed",

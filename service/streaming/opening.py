@@ -48,7 +48,7 @@ def open_stream(work: Open, registry: BundleRegistry) -> tuple[StreamPipeline, S
     plan = StreamPlan(
         start.audio, array, channels, method, bundle, stft, work.noise, start.hemisphere
     )
-    warnings = assumed + method_warnings(start.method, method, array)
+    warnings = assumed + method_warnings(start.method, method, bundle, array)
     try:
         pipeline = StreamPipeline(plan)
     except (NoiseMismatch, InvalidOption) as error:

@@ -149,8 +149,8 @@ SQUARE = ((1, 1, 0), (-1, 1, 0), (-1, -1, 0), (1, -1, 0))
             "geometry_invalid",
             "finite",
         ),
-        ({"array": positions()}, "geometry_invalid", "2 to 32 microphones"),
-        ({"array": positions(*SQUARE * 9)}, "geometry_invalid", "at most 32"),
+        ({"array": positions()}, "geometry_invalid", "2 to 64 microphones"),
+        ({"array": positions(*SQUARE * 17)}, "geometry_invalid", "at most 64"),
         (
             {"array": positions(*((23 * x, 23 * y, 0) for x, y, _ in SQUARE))},
             "geometry_invalid",

@@ -46,7 +46,7 @@ class ArrayChoice(Message):
 
     name: Optional[Annotated[str, Field(min_length=1, max_length=MAX_LABEL)]] = None
     """A preset's name (`GET /arrays`), or any name beside `positions_m`; required without them"""
-    positions_m: Optional[Annotated[list[Position], Field(min_length=2, max_length=32)]] = None
+    positions_m: Optional[Annotated[list[Position], Field(min_length=2, max_length=64)]] = None
     """Metres, `[x, y, z]` per microphone: x forward, y left, z up"""
     channel_map: Optional[Annotated[list[int], Field(min_length=1, max_length=64)]] = None
     """Same as `start.channel_map`; give only one of the two"""

@@ -31,6 +31,7 @@ WarningCode = Literal[
     "calibration_failed",
     "length_unknown",
     "pose_stale",
+    "too_short",
 ]
 WhyNoSource = Literal["silence", "no_direction", "unconfirmed", "excluded", "warming_up"]
 

@@ -80,7 +80,7 @@ LOCALIZE_EXAMPLE: dict[str, Any] = {
         "name": "any-array",
         "version": "0.4.0",
         "variant": "weights",
-        "sha256": "a1cb2acba181fde611996c33c76531aeb84a13ade25c10a5cc155e3b6b8143e4",
+        "sha256": "4ad0c6bdcc322c347ab0735df718e644fe71e2c523ddbf26ba6d44e8d3b7568c",
     },
     "method": "neural",
     "audio": {"sample_rate": 16000, "channels": 4, "duration_s": 8.5},

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.doa.array import MicrophoneArray
-from service.doa.hemisphere import searched_directions
+from service.doa.hemisphere import searched_directions, why_no_elevation, why_one_side
 from service.doa.presets import preset
 from service.doa.sphere import (
     angle_between,
@@ -170,3 +170,52 @@ def test_an_upright_array_is_searched_on_the_side_towards_x() -> None:
     grid = searched_directions(MicrophoneArray("wall", upright(SQUARE)))
     assert grid is not None
     assert (grid.vectors[:, 0] >= -1e-6).all()
+
+
+@pytest.mark.parametrize("hemisphere", ["both", "upper", "lower"])
+def test_a_wall_is_heard_from_before_whatever_the_hemisphere(hemisphere: str) -> None:
+    """Its sides are front and back: a hemisphere decides nothing."""
+    for lean in (-0.01, 0.0, 0.01):
+        wall = upright(SQUARE)
+        wall[:, 0] += lean * wall[:, 2]
+        grid = searched_directions(MicrophoneArray("wall", wall), hemisphere)  # type: ignore[arg-type]
+        assert grid is not None
+        assert (grid.vectors[:, 0] >= -0.02).all()
+
+
+@pytest.mark.parametrize(
+    ("lean_deg", "elevations", "says"),
+    [
+        (0, True, "one line, seen from above"),
+        (0, False, "one line, seen from above"),
+        (20, True, "one steep plane"),
+        (20, False, None),  # seen from above it is no line, and level directions are searched
+        (70, True, None),  # level: its images are above and below
+        (90, True, None),
+    ],
+)
+def test_a_plane_that_leans_has_a_front_too(
+    lean_deg: float, elevations: bool, says: str | None
+) -> None:
+    lean = np.deg2rad(lean_deg)
+    flat = upright(SQUARE * 2)
+    flat[:, 0], flat[:, 2] = np.sin(lean) * flat[:, 2], np.cos(lean) * flat[:, 2]
+    why = why_one_side(MicrophoneArray("panel", flat), elevations=elevations)
+    assert (why is None) if says is None else (why is not None and says in why)
+
+
+def test_a_line_tells_the_azimuth_of_a_cone() -> None:
+    """Also one whose positions were rounded to millimetres, and two microphones."""
+    bent = np.array([[0, 0, 0], [0.001, 0.03, 0], [0, 0.06, 0.001], [0, 0.09, 0]])
+    for positions in (bent, bent[[0, 3]]):
+        line = MicrophoneArray("line", positions)
+        assert "cone about the line" in (why_one_side(line, elevations=True) or "")
+        assert why_no_elevation(line, "upper") is not None
+
+
+def test_height_that_rulers_measure_tells_no_elevation() -> None:
+    """A third extent of a few millimetres is an error of the positions, in small arrays as well."""
+    small = np.array([[0, 0, 0], [0.015, 0, 0.004], [0.015, 0.015, 0], [0, 0.015, 0.004]])
+    assert searched_directions(MicrophoneArray("small", small)) is None
+    raised = small * [1, 1, 2]
+    assert searched_directions(MicrophoneArray("raised", raised)) is not None

@@ -193,3 +193,35 @@ def test_a_long_window_hears_who_speaks_in_turn(registry: BundleRegistry, plane_
     (estimate,) = localizer("neural", array, registry).estimate(window, 2, 3)
     found = sorted(np.rad2deg(source.azimuth) for source in estimate.sources)
     assert found == pytest.approx([50.0, 200.0], abs=4.0)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_line_that_was_measured_with_a_ruler_is_one_source_in_front(
+    method: str, registry: BundleRegistry, plane_waves
+) -> None:
+    """Positions 1 mm off tell nothing of sides: the image before the line, once, not its back."""
+    exact = np.array([[0.0, 0.03 * n, 0.0] for n in range(4)])
+    rng = np.random.default_rng(4)
+    for azimuth in (20, 160, 300, 230):
+        window = plane_waves(MicrophoneArray("exact", exact), [azimuth], seed=azimuth)[None]
+        off = exact + rng.normal(0, 0.001, exact.shape) * [1, 1, 0]
+        (estimate,) = localizer(method, MicrophoneArray("measured", off), registry).estimate(
+            window, None, 3
+        )
+        front = azimuth if np.cos(np.deg2rad(azimuth)) > 0 else 180 - azimuth
+        (source,) = estimate.sources
+        error = circular_error(np.array(source.azimuth), np.deg2rad(front))
+        assert np.rad2deg(error) < 8
+
+
+def test_an_array_that_is_bent_by_more_tells_its_sides(
+    registry: BundleRegistry, plane_waves
+) -> None:
+    exact = np.array([[0.004 * (-1) ** n, 0.03 * n, 0.0] for n in range(4)])
+    rng = np.random.default_rng(5)
+    for azimuth in (20, 160, 300, 230):
+        window = plane_waves(MicrophoneArray("exact", exact), [azimuth], seed=azimuth)[None]
+        measured = MicrophoneArray("measured", exact + rng.normal(0, 0.001, exact.shape))
+        (estimate,) = localizer("neural", measured, registry).estimate(window, None, 3)
+        error = circular_error(np.array(estimate.sources[0].azimuth), np.deg2rad(azimuth))
+        assert np.rad2deg(error) < 8
