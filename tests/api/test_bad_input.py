@@ -180,7 +180,7 @@ SQUARE = ((1, 1, 0), (-1, 1, 0), (-1, -1, 0), (1, -1, 0))
         ({"hop_s": "0"}, "option_invalid", "from 0.02 to 10"),
         ({"hop_s": "1e9"}, "option_invalid", "from 0.02 to 10"),
         ({"hop_s": "1_0"}, "option_invalid", "number"),
-        ({"spectrum": "perhaps"}, "option_invalid", "true or false"),
+        ({"spectrum": "perhaps"}, "option_invalid", "true, false or sphere"),
         ({"windows_s": "1"}, "option_invalid", "did you mean window_s?"),
         ({"array": ["xvf3800-4mic"] * 2}, "option_invalid", "given twice"),
     ],
