@@ -139,7 +139,10 @@ class Keys:
         self._used(key).charge(seconds, key.audio_seconds_per_hour)
 
     def reserve(self, key: Key, seconds: float) -> None:
-        """Count seconds of audio to come, or raise AudioQuota; negative ones are given back."""
+        """Count seconds of audio to come, or raise AudioQuota or AudioTooLong.
+
+        Negative ones are given back.
+        """
         self._used(key).reserve(seconds, key.audio_seconds_per_hour)
 
     def check_audio(self, key: Key) -> None:

@@ -9,6 +9,7 @@ from contextlib import AbstractContextManager, contextmanager
 
 from neuralmusic.errors import (
     AudioQuota,
+    AudioTooLong,
     DoaError,
     TooManySessions,
     TooManyUploads,
@@ -83,6 +84,7 @@ class Usage:
     def reserve(self, seconds: float, per_hour: float | None) -> None:
         """Count seconds of audio to come, or raise AudioQuota where they exceed the limit.
 
+        More than the limit can ever allow raises AudioTooLong: waiting would not help.
         A negative number gives back what was reserved and not used.
         """
         with self._lock:
@@ -93,10 +95,9 @@ class Usage:
                 return
         assert per_hour is not None
         if seconds > per_hour:
-            raise AudioQuota(
+            raise AudioTooLong(  # no wait would help, so no Retry-After
                 f"the recording's {seconds:.0f} s are more than the {per_hour:g} s of audio an "
-                "hour of this key: split it",
-                HOUR_S,
+                "hour of this key: split it"
             )
         raise _used_up(beyond, per_hour)
 

@@ -200,8 +200,9 @@ def test_a_recording_longer_than_the_limit_is_refused_with_the_remedy(
     client: TestClient, bearer: Any
 ) -> None:
     refused = post(client, bearer("unlucky"), 3.0)
-    assert (refused.status_code, refused.json()["code"]) == (429, "audio_quota")
+    assert (refused.status_code, refused.json()["code"]) == (413, "audio_too_long")
     assert "split it" in refused.json()["detail"]
+    assert "retry-after" not in refused.headers
 
 
 def test_recordings_in_parallel_get_no_more_than_one_after_the_other(
