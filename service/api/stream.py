@@ -17,6 +17,8 @@ from neuralmusic.errors import (
     AccessError,
     AudioQuota,
     DoaError,
+    InvalidOption,
+    Overloaded,
     StreamTimeout,
     SubprotocolMissing,
     TooManyFrames,
@@ -34,10 +36,11 @@ from service.api.state import ServiceState
 from service.api.stream_watch import StreamWatch
 from service.observability.logs import session_id
 from service.streaming.calibrations import keep, with_noise
+from service.streaming.cost import StreamCost, stream_cost
 from service.streaming.reporter import Reporter, SessionLimits
 from service.streaming.session import Session
-from service.streaming.work import Close, Failed, Keep, Open, Outcome
-from service.workers.stream_pool import worker_lost
+from service.streaming.work import Close, Failed, Keep, Open, Outcome, Work
+from service.workers.stream_pool import StreamWorker, worker_lost
 
 log = logging.getLogger(__name__)
 
@@ -91,7 +94,10 @@ class Connection:
         self._key = key
         self._loop = asyncio.get_running_loop()
         self._stream_workers = state.stream_workers
-        self._worker = state.stream_workers.assign()
+        self._worker: StreamWorker | None = None
+        """Where the session is computed, from its ``start`` on"""
+        self._cost: StreamCost | None = None
+        self._interval_ms = 0
         self._streams = state.streams
         self._noise = state.noise
         self._noise_access = state.noise_access
@@ -138,8 +144,9 @@ class Connection:
             with suppress(RuntimeError, WebSocketDisconnect, TimeoutError):
                 async with asyncio.timeout(SEND_TIMEOUT_S):
                     await self._websocket.close(self.session.close_code or CloseCode.TIMEOUT)
-            self._worker.submit(Close(self.session.id))
-            self._stream_workers.release(self._worker)
+            if self._worker is not None and self._cost is not None:
+                self._worker.submit(Close(self.session.id))
+                self._stream_workers.release(self._worker, self._cost)
             self._streams.end(self._entry)
             self._watch.ended(self._entry.client)
 
@@ -176,19 +183,43 @@ class Connection:
     def _pump(self) -> None:
         """Hand out the session's next work, make room, close what is closed."""
         work = self.session.take_work()
-        if isinstance(work, Open | Keep):
+        if work is not None:
+            self._assign()
+        if self.session.close_code is not None:
+            pass  # no worker could carry it
+        elif isinstance(work, Open | Keep):
             self._storing = asyncio.create_task(self._store(work))
         elif work is not None:
-            self._worker.submit(work, self._worked)
+            self._submit(work, self._worked)
         check = self.session.take_check()
         if check is not None:
-            self._worker.submit(check, self._checked)
+            self._submit(check, self._checked)
         if self.session.close_code is not None:
             self._outbox.close()
         if self.session.wants_audio:
             self._room.set()
         else:
             self._room.clear()
+
+    def _assign(self) -> None:
+        """Have a worker that can carry the session, also where its interval has changed."""
+        start, interval_ms = self.session.start, self.session.output.interval_ms
+        if start is None or interval_ms == self._interval_ms:
+            return
+        cost = stream_cost(start, interval_ms)
+        try:
+            if self._worker is None or self._cost is None:
+                self._worker = self._stream_workers.assign(cost)
+            else:
+                self._stream_workers.change(self._worker, self._cost, cost)
+        except (InvalidOption, Overloaded) as error:
+            self.session.fail(error)
+        else:
+            self._cost, self._interval_ms = cost, interval_ms
+
+    def _submit(self, work: Work, done: Callable[[Outcome], None]) -> None:
+        assert self._worker is not None
+        self._worker.submit(work, done)
 
     async def _store(self, work: Open | Keep) -> None:
         """Do what needs the store of noise profiles in a thread: it may wait for a disk."""
@@ -198,7 +229,7 @@ class Connection:
                 self._worked(await in_thread(keep, work, self._noise))
             else:
                 found = await in_thread(with_noise, work, self._noise)
-                self._worker.submit(found, self._worked)
+                self._submit(found, self._worked)
         except Exception:
             log.exception("the stream failed")
             self._worked(Failed(DoaError(UNEXPECTED)))
@@ -286,12 +317,15 @@ class Connection:
             now = self._loop.time()
             if self._sending is not None and now - self._sending > SEND_TIMEOUT_S:
                 raise TimeoutError  # nothing more could be said to a client that reads nothing
-            self._worker.watch(now)
+            if self._worker is not None:
+                self._worker.watch(now)
             self.act(partial(self._look, now))
 
     def _look(self, now: float) -> None:
         """End the session where its time is over, its key is good no more or its worker is gone."""
         self.session.tick(now)
         self._check_key()
-        if self._worker.lost:  # a stream that is waiting for audio would not notice
+        if (
+            self._worker is not None and self._worker.lost
+        ):  # a stream that is waiting for audio would not notice
             self.session.fail(worker_lost())

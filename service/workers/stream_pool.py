@@ -8,8 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
 
-from neuralmusic.errors import WorkerLost
+from neuralmusic.errors import InvalidOption, Overloaded, WorkerLost
 from service.observability.metrics import Metrics
+from service.streaming.cost import HEAVY_STEP_S, ORDINARY, StreamCost
 from service.streaming.work import Answer, Check, Failed, Outcome, Work
 from service.workers.link import Setup, Unpacker, packed
 from service.workers.process import READY_S, WorkerProcess
@@ -76,8 +77,8 @@ class StreamWorker:
         self._deadline: asyncio.TimerHandle | None = None
         """Timer that ends a start that takes too long"""
         self._answered = 0.0
-        self.sessions = 0
-        """Sessions computed here"""
+        self.costs: list[StreamCost] = []
+        """What the sessions cost that are computed here"""
         self.retired = False
         """Whether the worker takes no more sessions and ends with its last one"""
         self.lost = False
@@ -104,6 +105,21 @@ class StreamWorker:
             self._unsent.append(message)
         else:
             self._transport.write(message)
+
+    @property
+    def sessions(self) -> int:
+        """Number of sessions computed here."""
+        return len(self.costs)
+
+    @property
+    def load(self) -> float:
+        """Estimated share of a core that they take."""
+        return sum(cost.share for cost in self.costs)
+
+    @property
+    def heavy(self) -> bool:
+        """Whether one of them is to be kept apart."""
+        return any(cost.heavy for cost in self.costs)
 
     @property
     def pid(self) -> int | None:
@@ -204,24 +220,91 @@ class StreamWorkers:
         self._workers: list[StreamWorker] = []
         self._ending: set[asyncio.Task[None]] = set()
 
-    def assign(self) -> StreamWorker:
-        """A place at the worker with the fewest sessions, until ``release``.
+    def assign(self, cost: StreamCost = ORDINARY) -> StreamWorker:
+        """A place for a session at a worker that can carry it, until ``release``.
 
-        Another worker is started where all have enough.
+        Ordinary sessions go where the fewest are; another worker is started where all have enough.
+        Heavy ones are kept apart from them, and where there are several workers one is left to the
+        ordinary ones.
+
+        Raises
+        ------
+        InvalidOption
+            If no worker can ever carry the session.
+        Overloaded
+            If none can now.
         """
+        self._check_share(cost)
         current = self._current()
-        if len(current) < self._most and all(each.sessions >= ENOUGH for each in current):
-            assert self.setup is not None
-            current.append(self._started(self.setup))
-        worker = min(current, key=lambda each: each.sessions)
-        worker.sessions += 1
+        worker = self._heavy_place(current, cost) if cost.heavy else self._place(current)
+        if worker is None:
+            raise Overloaded(
+                f"this stream needs {cost.share:.0%} of a core beside the streams that run: "
+                "connect again later, with fewer microphones or a longer output.interval_ms"
+            )
+        worker.costs.append(cost)
         return worker
 
-    def release(self, worker: StreamWorker) -> None:
+    def _place(self, current: list[StreamWorker]) -> StreamWorker | None:
+        """A worker for an ordinary session."""
+        apart = [each for each in current if not each.heavy]
+        if len(current) < self._most and all(each.sessions >= ENOUGH for each in apart):
+            return self._started_now()
+        beside = [each for each in current if all(c.step_s <= HEAVY_STEP_S for c in each.costs)]
+        return min(apart or beside, key=lambda each: each.load, default=None)
+
+    def _heavy_place(self, current: list[StreamWorker], cost: StreamCost) -> StreamWorker | None:
+        """A worker for a heavy session, away from ordinary ones where its steps are long."""
+        room = [each for each in current if each.load + cost.share <= 1]
+        free = self._most == 1 or sum(each.heavy for each in current) < self._most - 1
+        for each in room:
+            if each.heavy and all(other.heavy for other in each.costs):
+                return each
+            if free and not each.costs:
+                return each
+        if free and len(current) < self._most:
+            return self._started_now()
+        return room[0] if room and cost.step_s <= HEAVY_STEP_S else None
+
+    def _check_share(self, cost: StreamCost) -> None:
+        if cost.share > 1:
+            raise InvalidOption(
+                f"this stream needs {cost.share:.1f} cores, and one is the most that a stream can "
+                "have: record at a lower sample rate, map fewer microphones, or lengthen "
+                "output.interval_ms"
+            )
+
+    def change(self, worker: StreamWorker, before: StreamCost, now: StreamCost) -> None:
+        """Note that a session costs something else from now on.
+
+        Raises
+        ------
+        InvalidOption, Overloaded
+            If its worker cannot carry it.
+        """
+        self._check_share(now)
+        others = [*worker.costs]
+        others.remove(before)
+        crowded = (
+            any(not each.heavy for each in others) or worker.load - before.share + now.share > 1
+        )
+        if now.heavy and others and crowded:
+            raise Overloaded(
+                f"with this output.interval_ms the stream needs {now.share:.0%} of a core, which "
+                "its worker's other streams leave it not: begin another session with it"
+            )
+        worker.costs.remove(before)
+        worker.costs.append(now)
+
+    def release(self, worker: StreamWorker, cost: StreamCost = ORDINARY) -> None:
         """Give back the place of a session that has ended."""
-        worker.sessions -= 1
+        worker.costs.remove(cost)
         if worker.retired and worker.sessions == 0:
             self._end(worker)
+
+    def _started_now(self) -> StreamWorker:
+        assert self.setup is not None
+        return self._started(self.setup)
 
     @property
     def pids(self) -> list[int]:
@@ -244,8 +327,7 @@ class StreamWorkers:
     def tend(self) -> None:
         """Have one that takes sessions."""
         if not self._current():
-            assert self.setup is not None
-            self._started(self.setup)
+            self._started_now()
 
     async def renew(self, setup: Setup) -> None:
         """Send new sessions to workers with a new setup; running ones stay where they are.
