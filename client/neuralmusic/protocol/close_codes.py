@@ -33,7 +33,7 @@ REASONS: Mapping[CloseCode, str] = {
     CloseCode.TOO_BIG: "a message was larger than 256 KiB, or a text longer than 64 KiB",
     CloseCode.INTERNAL: "the service failed, or the client answered no ping and sent nothing",
     CloseCode.DRAINING: "the service is shutting down",
-    CloseCode.OVERLOADED: "no worker has room for what this stream costs; a full service answers the handshake with 503",
+    CloseCode.OVERLOADED: "no worker has room for what this stream costs",
     CloseCode.INVALID_MESSAGE: "a message was wrong; its `error` says what",
     CloseCode.UNAUTHORIZED: "the key was removed, has expired or lost its role",
     CloseCode.TIMEOUT: "nothing came, or nothing was read, for too long",
