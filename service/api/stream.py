@@ -95,7 +95,7 @@ class Connection:
         self._loop = asyncio.get_running_loop()
         self._stream_workers = state.stream_workers
         self._worker: StreamWorker | None = None
-        """Where the session is computed, from its ``start`` on"""
+        """The worker that computes the session, from its ``start`` on"""
         self._cost: StreamCost | None = None
         self._interval_ms = 0
         self._streams = state.streams

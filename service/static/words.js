@@ -27,6 +27,7 @@ const SERIOUS = {
   sample_rate_wrong: "The sample rate does not fit",
   front_back_ambiguous: "Front and back look alike",
   noise_mismatch: "The noise has changed",
+  pose_stale: "The robot no longer says how it is turned",
 };
 
 const REASONS = {

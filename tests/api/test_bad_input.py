@@ -122,8 +122,8 @@ SQUARE = ((1, 1, 0), (-1, 1, 0), (-1, -1, 0), (1, -1, 0))
     [
         ({"array": "respeaker"}, "array_unknown", "respeaker-usb-4mic-v2"),
         # 64,000 digits and a letter once took two minutes, in which nobody else was answered.
-        ({"yaw_deg": "1" * 64_000 + "x"}, "option_invalid", "must be a number"),
-        ({"yaw_deg": "0" * 65}, "option_invalid", "must be a number"),
+        ({"yaw_deg": "1" * 64_000 + "x"}, "option_invalid", "must be an angle"),
+        ({"yaw_deg": "0" * 65}, "option_invalid", "must be an angle"),
         ({"exclude_deg": ",".join(["1:2"] * 17)}, "option_invalid", "at most 16 sectors"),
         ({"array": ""}, "option_invalid", "array is empty"),
         ({"array": '{"positions_m": [[0, 0'}, "option_invalid", "not valid JSON"),

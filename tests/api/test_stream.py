@@ -118,7 +118,7 @@ def test_a_full_service_says_when_to_come_again(service: RunningService) -> None
         (["{"], "message_invalid", 4400),
         ([json.dumps(START), bytes(7)], "message_invalid", 4400),
         ([json.dumps(START), b"RIFF" + bytes(60)], "message_invalid", 4400),
-        ([json.dumps(START), bytes(70_000)], "message_too_big", 1009),
+        ([json.dumps(START), bytes(270_000)], "message_too_big", 1009),
         ([" " * 70_000], "message_too_big", 1009),
         (['{"type":"stop"}'], "done", 1000),
     ],
