@@ -63,6 +63,9 @@ from service.streaming.work import (
 MAX_COMMANDS = 1000
 """Most control messages that wait for the audio before them"""
 
+JOB_BYTES = 512 * 1024
+"""Most bytes of audio in one job: a worker's other streams, and the service itself, wait for it"""
+
 State = Literal["waiting", "opening", "running", "closed"]
 Command = Update | Flush | Calibrate | Stop
 Purpose = Flush | Stop | Literal["opening", "audio"] | None
@@ -199,7 +202,7 @@ class Session:
             return keep
         assert self._clock is not None
         while self._commands:
-            needed = self._clock.frames_needed(self.output.interval_ms)
+            needed = self._frames_of_job(self._clock)
             before = self._commands[0][0] - self._intake.removed
             if before > 0:
                 return self._advance(min(before, needed), "audio")
@@ -211,7 +214,7 @@ class Session:
             except TooManySources as error:
                 self.fail(error)
                 return None
-        needed = self._clock.frames_needed(self.output.interval_ms)
+        needed = self._frames_of_job(self._clock)
         return self._advance(needed, "audio") if self._intake.buffer.frames >= needed else None
 
     def work_done(self, outcome: Outcome, now: float) -> None:
@@ -300,6 +303,12 @@ class Session:
         """Most sample frames that wait."""
         seconds = self._limits.buffer_s + self.output.interval_ms / 1000
         return round(seconds * start.audio.sample_rate)
+
+    def _frames_of_job(self, clock: StreamClock) -> int:
+        """Sample frames of the next job: up to the next result, in pieces that nobody waits for."""
+        assert self.start is not None
+        most = max(1, JOB_BYTES // self.start.audio.frame_bytes)
+        return min(clock.frames_needed(self.output.interval_ms), most)
 
     def _advance(self, frames: int, purpose: Flush | Stop | Literal["audio"]) -> Advance:
         assert self._intake is not None

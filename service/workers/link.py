@@ -30,6 +30,7 @@ HEADER = struct.Struct("<I")
 READ_BYTES = 2**16
 """Most bytes in one read: a stream's job or its outcome is smaller"""
 READY = "ready"
+TAKEN = "taken"
 
 
 @dataclass(frozen=True, slots=True)

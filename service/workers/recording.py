@@ -26,7 +26,7 @@ from service.recordings.job import (
     localize_file,
 )
 from service.settings import Settings
-from service.workers.link import READY, Link, run_worker
+from service.workers.link import READY, TAKEN, Link, run_worker
 from service.workers.warm_up import warm_up
 
 log = logging.getLogger(__name__)
@@ -46,6 +46,7 @@ def work_until_end(link: Link, registry: BundleRegistry, processes: int = 1) -> 
 
     while True:
         job, descriptor = link.receive_with_file()
+        link.send(TAKEN)
         link.send(
             _outcome(
                 job,

@@ -27,6 +27,8 @@ log = logging.getLogger(__name__)
 CRASHES = {signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL}
 """Signals by which a faulty decoder ends a process; other signals come from outside"""
 
+TAKEN_S = 10.0
+"""Seconds within which a ready process must take a recording: it may have been stopped"""
 LOOK_S = 1.0
 """Seconds between two looks whether a recording that waits is still wanted"""
 
@@ -83,8 +85,16 @@ class RecordingWorker:
         DecodingFailed, WorkerLost
             If the process crashed, stalled or was killed; the worker is then unusable.
         """
+        connection = self._process.connection
         try:
+            connection.settimeout(min(TAKEN_S, self._stall_s))
             self._link.send(job, [file.fileno()])
+            self._link.receive()
+        except (EOFError, OSError) as error:
+            self._lost(error)
+            raise WorkerLost("the process for this recording did not take it: try again") from error
+        try:
+            connection.settimeout(self._stall_s)
             outcome = self._converse(check)
         except (EOFError, OSError) as error:
             raise self._lost(error) from error

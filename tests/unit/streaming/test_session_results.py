@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 from service.inference.noise_store import NoiseStore
+from service.streaming.session import JOB_BYTES
+from service.streaming.work import Advance
 
 from .conftest import Driver, NewSession, pcm, start
 
@@ -360,3 +362,23 @@ def test_noise_that_cannot_be_stored_is_used_and_no_path_is_told(
     driver.audio(pcm(0.01 * np.random.default_rng(0).standard_normal((4, 2 * RATE))))
     assert driver.only("warning")["detail"].endswith("was not stored: Read-only file system")
     assert driver.only("calibrated")["name"] is None
+
+
+def test_a_second_of_much_audio_is_worked_off_in_pieces(new_session: NewSession) -> None:
+    """100 MB at once would hold up the worker's other streams, and whoever hands them over."""
+    driver = new_session(eager=False)
+    audio = {"encoding": "pcm_f32le", "sample_rate": 384_000, "channels": 64}
+    driver.send(
+        start(method="music", audio=audio, channel_map=[0, 1, 2, 3], output={"interval_ms": 1000})
+    )
+    driver.work()
+    assert driver.last["type"] == "ready"
+    sizes = []
+    for _ in range(410):
+        driver.session.receive_bytes(bytes(960 * 256), 0.0)
+        while (work := driver.session.take_work()) is not None:
+            assert isinstance(work, Advance)
+            sizes.append(sum(len(piece.data) for piece in work.pieces))
+            driver.session.work_done(driver.perform(work), 0.0)
+    assert len(driver.all("result")) == 1
+    assert 100_000 < max(sizes) <= JOB_BYTES

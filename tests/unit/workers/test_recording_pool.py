@@ -6,12 +6,16 @@ import os
 import signal
 import threading
 from collections.abc import Iterator
+from pathlib import Path
+from typing import cast
+from unittest.mock import Mock
 
 import pytest
 
 from neuralmusic.errors import WorkerLost
 from service.lifecycle import Lifecycle, Phase
 from service.observability.metrics import Metrics
+from service.recordings.job import RecordingJob
 from service.settings import Settings
 from service.startup import load_registry
 from service.workers import recording_pool
@@ -71,3 +75,18 @@ def test_a_process_that_never_comes_up_holds_nobody(
     waiting.join(30)
     assert len(refused) == 1
     assert workers.pids == []
+
+
+def test_a_ready_process_that_is_stopped_is_lost_and_replaced(
+    workers: RecordingWorkers, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The recording is not to blame, and its sender need not wait for as long as a decoder may."""
+    monkeypatch.setattr(recording_pool, "TAKEN_S", 0.3)
+    workers.tend()
+    (pid,) = workers.pids
+    os.kill(pid, signal.SIGSTOP)
+    with (tmp_path / "audio").open("w+b") as file, pytest.raises(WorkerLost, match="try again"):
+        workers._localize(cast(RecordingJob, None), file, Mock())
+    assert workers.pids == []
+    workers.tend()
+    assert workers.ready
