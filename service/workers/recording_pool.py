@@ -91,8 +91,10 @@ class RecordingWorker:
             self._link.send(job, [file.fileno()])
             self._link.receive()
         except (EOFError, OSError) as error:
-            self._lost(error)
-            raise WorkerLost("the process for this recording did not take it: try again") from error
+            lost = self._lost(error)
+            if isinstance(error, TimeoutError):  # before it could look at the recording
+                lost = WorkerLost("the process for this recording did not take it: try again")
+            raise lost from error
         try:
             connection.settimeout(self._stall_s)
             outcome = self._converse(check)

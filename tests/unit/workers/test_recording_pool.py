@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import os
 import signal
+import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import cast
-from unittest.mock import Mock
+from unittest.mock import Mock, patch
 
 import pytest
 
-from neuralmusic.errors import WorkerLost
+from neuralmusic.errors import DecodingFailed, WorkerLost
 from service.lifecycle import Lifecycle, Phase
 from service.observability.metrics import Metrics
 from service.recordings.job import RecordingJob
@@ -20,7 +21,7 @@ from service.settings import Settings
 from service.startup import load_registry
 from service.workers import recording_pool
 from service.workers.link import Setup
-from service.workers.recording_pool import RecordingWorkers
+from service.workers.recording_pool import RecordingWorker, RecordingWorkers
 
 pytestmark = pytest.mark.processes
 
@@ -90,3 +91,24 @@ def test_a_ready_process_that_is_stopped_is_lost_and_replaced(
     assert workers.pids == []
     workers.tend()
     assert workers.ready
+
+
+def test_a_recording_over_which_a_process_stalls_is_to_blame(workers: RecordingWorkers) -> None:
+    assert workers.setup is not None
+    worker = RecordingWorker(workers.setup, 1.0)
+    worker.wait_ready()
+    pieces = iter(["taken"])
+
+    def receive() -> str:
+        message = next(pieces, None)
+        if message is None:
+            raise TimeoutError("timed out")
+        return message
+
+    with (
+        patch.object(worker, "_link", Mock(receive=receive)),
+        tempfile.TemporaryFile() as file,
+        pytest.raises(DecodingFailed, match="no progress for 1 s"),
+    ):
+        worker.localize(cast(RecordingJob, None), file, Mock())
+    assert not worker.alive
