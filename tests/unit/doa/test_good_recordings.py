@@ -107,8 +107,8 @@ def inverted(audio: FloatArray, *channels: int) -> FloatArray:
     return audio * signs
 
 
-@pytest.mark.parametrize("edge_mm", [10, 15, 20, 25, 41])
-@pytest.mark.parametrize("seed", [1, 2, 3, 6])
+@pytest.mark.parametrize("edge_mm", [15, 25])
+@pytest.mark.parametrize("seed", [1, 6])
 @pytest.mark.parametrize("echo_gain", [0.35, 0.5])
 def test_a_small_tetrahedron_among_reflections_raises_nothing(
     edge_mm: int, seed: int, echo_gain: float
@@ -126,7 +126,7 @@ def test_a_late_channel_of_a_small_tetrahedron_is_found_where_several_talk() -> 
 
 
 @pytest.mark.parametrize(("count", "length"), [(4, 0.3), (6, 0.45), (8, 0.45)])
-@pytest.mark.parametrize("distance", [0.3, 0.5, 0.8, 1.2])
+@pytest.mark.parametrize("distance", [0.3, 0.6, 1.2])
 def test_a_near_talker_before_a_line_raises_nothing(
     count: int, length: float, distance: float
 ) -> None:
@@ -138,7 +138,7 @@ def test_a_near_talker_before_a_line_raises_nothing(
         assert codes(late(audio, 2, 2), positions) == [("channel_late", (2,))]
 
 
-@pytest.mark.parametrize("radius", [0.035, 0.05, 0.0875])
+@pytest.mark.parametrize("radius", [0.035, 0.0875])
 def test_microphones_on_a_rigid_sphere_raise_nothing(radius: float) -> None:
     turns = np.deg2rad(np.arange(0, 360, 30))
     ring = np.column_stack([np.cos(turns), np.sin(turns), np.zeros(12)])
