@@ -91,6 +91,12 @@ def with_late_channel(talk: Talk) -> FloatArray:
     return audio
 
 
+def with_inverted_channel(talk: Talk) -> FloatArray:
+    audio = talk.noisy()
+    audio[2] *= -1
+    return audio
+
+
 def first_of_six(process: Callable[[Talk, FloatArray], FloatArray], talk: Talk) -> FloatArray:
     """Channels 0 to 3 of a device whose channel 0 is processed and not a microphone."""
     raw = talk.noisy()
@@ -154,6 +160,7 @@ MISTAKES = (
     Mistake("44.1 kHz declared as 16", partial(at_another_rate, 44_100)),
     Mistake("32 kHz declared as 16", partial(at_another_rate, 32_000)),
     Mistake("one channel late by a sample", with_late_channel),
+    Mistake("one channel inverted", with_inverted_channel),
 )
 
 

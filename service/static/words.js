@@ -21,6 +21,7 @@ const SERIOUS = {
   channel_dead: "A microphone is silent",
   channels_identical: "Channels are copies",
   channel_late: "A channel comes late",
+  channel_inverted: "A channel is inverted",
   channel_order: "Channels seem swapped",
   array_scale: "The array's size does not fit",
   channel_processed: "A channel is processed",

@@ -20,6 +20,7 @@ WarningCode = Literal[
     "dc_offset",
     "band_limited",
     "channel_late",
+    "channel_inverted",
     "channel_order",
     "array_scale",
     "channel_processed",

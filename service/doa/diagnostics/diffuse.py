@@ -119,6 +119,8 @@ def _fitted(
         rest = measured - np.clip(share, 0, 1)[:, None] * expected
         residuals.append(float(np.sum(rest**2)))
     best = int(np.argmin(residuals))
+    if best == 0:  # still falling at the smallest scale: sound from nearby rather than diffuse
+        return None
     if residuals[best] > MAX_RESIDUAL * float(np.sum(measured**2)):
         return None
     given = residuals[int(np.argmin(np.abs(SCALES - 1)))]

@@ -16,6 +16,7 @@ FindingCode = Literal[
     "dc_offset",
     "band_limited",
     "channel_late",
+    "channel_inverted",
     "channel_order",
     "array_scale",
     "sample_rate_wrong",

@@ -10,6 +10,7 @@ import numpy as np
 
 from service.doa.array import SPEED_OF_SOUND
 from service.doa.diagnostics.cells import Cells
+from service.doa.diagnostics.waves import best_fits
 from service.doa.steering import steering_vectors, unit_vectors
 from service.doa.types import ComplexArray, FloatArray
 
@@ -67,11 +68,29 @@ class PlaneWaveFit:
             [self._responses(chunk).max(axis=-1) / self._counts for chunk in chunks]
         )
 
+    def fine_scores(self, hypotheses: Sequence[Hypothesis]) -> FloatArray:
+        """Fits (H, B) at the best directions of any, by waves of any kind (``waves``)."""
+        return np.array([self._fine(hypothesis) for hypothesis in hypotheses])
+
+    def _fine(self, hypothesis: Hypothesis) -> FloatArray:
+        (vectors,) = np.swapaxes(self._undone([hypothesis]), 0, 1)
+        positions = self._positions * hypothesis.scale
+        return best_fits(self._cells, vectors, positions, self._towards(hypothesis))
+
+    @property
+    def redundant(self) -> bool:
+        """Whether a direction does not explain any delays between the microphones."""
+        centred = self._positions - self._positions.mean(axis=0)
+        return bool(len(centred) - 1 > np.linalg.matrix_rank(centred, tol=1e-4))
+
+    def spread(self, hypothesis: Hypothesis) -> float:
+        """Spread of the blocks' directions: 0 for a single one, 1 for all around."""
+        return 1.0 - float(np.linalg.norm(self._towards(hypothesis).mean(axis=0)))
+
     def agreement(self, order: tuple[int, ...]) -> FloatArray:
         """(N,) agreement of each microphone with the others under ``order``, up to 1."""
         hypothesis = Hypothesis(order, (0,) * len(order))
-        best = self._responses([hypothesis])[0].argmax(axis=-1)[self._cells.block]  # (C,)
-        direction = unit_vectors(self._azimuth[best], self._elevation[best])
+        direction = self._towards(hypothesis)[self._cells.block]  # (C, 3)
         centred = self._positions - self._positions.mean(axis=0)
         phase = 2 * np.pi / SPEED_OF_SOUND * self._cells.frequency[:, None] * direction @ centred.T
         aligned = self._cells.vectors[:, order] * np.exp(-1j * phase)  # (C, N)
@@ -83,12 +102,9 @@ class PlaneWaveFit:
     def _responses(self, hypotheses: Sequence[Hypothesis]) -> FloatArray:
         """(H, B, A) summed responses."""
         cells, microphones = self._cells, self._positions.shape[0]
-        order = np.array([hypothesis.order for hypothesis in hypotheses])
-        late = np.array([hypothesis.late for hypothesis in hypotheses]) / self._sample_rate
         scale = hypotheses[0].scale
         steering = self._given if scale == 1.0 else self._steering(scale)
-        undone = np.exp(2j * np.pi * cells.frequency[:, None, None] * late)  # (C, H, N)
-        vectors = cells.vectors[:, order] * undone.astype(np.complex64)
+        vectors = self._undone(hypotheses)
         total = np.empty((len(hypotheses), cells.num_blocks, self._azimuth.size), dtype=np.float32)
         for block, (begin, end) in enumerate(pairwise(self._starts)):
             response = np.conj(vectors[begin:end]) @ steering[self._bin[begin:end]]  # (C', H, A)
@@ -99,6 +115,19 @@ class PlaneWaveFit:
             np.add(sums[:, 0::2], sums[:, 1::2], out=total[:, block])
         total /= np.float32(microphones**2)
         return total
+
+    def _towards(self, hypothesis: Hypothesis) -> FloatArray:
+        """(B, 3) unit vectors to every block's best direction on the grid."""
+        best = self._responses([hypothesis])[0].argmax(axis=-1)
+        return unit_vectors(self._azimuth[best], self._elevation[best])
+
+    def _undone(self, hypotheses: Sequence[Hypothesis]) -> ComplexArray:
+        """(C, H, N) the cells' vectors with wrong orders and delays undone."""
+        order = np.array([hypothesis.order for hypothesis in hypotheses])
+        late = np.array([hypothesis.late for hypothesis in hypotheses]) / self._sample_rate
+        undone = np.exp(2j * np.pi * self._cells.frequency[:, None, None] * late)
+        vectors: ComplexArray = self._cells.vectors[:, order] * undone.astype(np.complex64)
+        return vectors
 
     def _steering(self, scale: float) -> ComplexArray:
         return steering_vectors(

@@ -20,8 +20,22 @@ from service.doa.types import FloatArray
 MISFIT_RATIO = 0.9
 """Largest share of the misfit (1 - fit) that an accepted hypothesis leaves; over 240 good simulated
 rooms and three real recordings no wrong hypothesis leaves less than 0.93"""
+FINE_MISFIT_RATIO = 0.95
+"""The same with finer directions and other waves: good recordings leave at least 1 there, or gain
+less than the least below"""
 MIN_STATISTIC = 3.5
 """Least mean gain of the blocks over its standard error; the same recordings stay below 2.9"""
+MIN_GAIN = 0.005
+"""Least fall of the misfit: reflections alone, which fit no hypothesis, cause up to 0.004"""
+MIN_GAIN_OF_FEW = 0.02
+"""The same where the array has no more delays than directions have dimensions, as a tetrahedron:
+another direction then explains most of a late channel, and reflections cause up to 0.014"""
+MIN_SPREAD = 0.25
+"""Least spread of the directions by which such an array's channel may be late: the delays from a
+single talker are those from some other place with a channel shifted, up to the
+reflections; one talker has a spread of up to 0.2, three of at least 0.33"""
+MAX_LIKELY = 8
+"""Most hypotheses of a kind, the best ones, that are judged with finer directions"""
 TIE = 1.1  # misfits of late channels that differ by a smaller factor cannot be told apart
 PRIOR = 1.03  # an order wins over a slightly better lag: wrong orders are far more common
 MAX_LATE = 4  # samples; most larger lags are seen by cross-correlation
@@ -41,6 +55,11 @@ class Verdict:
     given: float
     """1 - mean fit of the geometry as given"""
 
+    @property
+    def clear(self) -> bool:
+        """Whether it is good enough for another scale."""
+        return self.misfit < SCALE_RATIO * self.given
+
 
 def geometry_findings(
     fit: PlaneWaveFit, positions: FloatArray, names: Sequence[int]
@@ -56,17 +75,24 @@ def geometry_findings(
         Recording channels of the microphones.
     """
     given = tuple(range(len(positions)))
-    none_late = (0,) * len(positions)
-    reference = fit.scores([Hypothesis(given, none_late)])[0]
+    none = Hypothesis(given, (0,) * len(positions))
     order = best_order(fit, positions)
-    orders = _judge(fit, [order] if order else [], reference)
-    lates = _judge(fit, _late_hypotheses(suspects(fit.agreement(given)), given), reference)
-    scales = [
+    orders = _confirmed(fit, _likely(fit, [order] if order else [], none), none)
+    late = _late_hypotheses(suspects(fit.agreement(given)), given)
+    lates = [
+        verdict
+        for verdict in _confirmed(fit, _likely(fit, late, none), none)
+        if fit.redundant or fit.spread(verdict.hypothesis) > MIN_SPREAD
+    ]
+    sizes = [
         verdict
         for scale in SCALES
-        for verdict in _judge(fit, [Hypothesis(given, none_late, scale)], reference)
-        if verdict.misfit < SCALE_RATIO * verdict.given
+        for verdict in _likely(fit, [Hypothesis(given, none.late, scale)], none)
+        if verdict.clear
     ]
+    # Only the grid chooses the size: finer elevations fit any larger array to the sound.
+    size = sorted(sizes, key=_misfit)[:1]
+    scales = [verdict for verdict in _confirmed(fit, size, none) if verdict.clear]
     if not (orders or lates or scales):
         return []
     best = min(verdict.misfit for verdict in (*orders, *lates, *scales))
@@ -91,19 +117,39 @@ def _late_hypotheses(late: Sequence[int], order: tuple[int, ...]) -> list[Hypoth
     ]
 
 
-def _judge(
-    fit: PlaneWaveFit, hypotheses: Sequence[Hypothesis], reference: FloatArray
-) -> list[Verdict]:
-    """Verdicts on the hypotheses that clearly beat the fits ``reference`` (B,)."""
+def _likely(fit: PlaneWaveFit, hypotheses: Sequence[Hypothesis], none: Hypothesis) -> list[Verdict]:
+    """Verdicts on the hypotheses that clearly beat ``none`` by plane waves on the grid."""
     if not hypotheses:
         return []
+    scores, reference = fit.scores(hypotheses), fit.scores([none])[0]
+    return _judge(hypotheses, scores, reference, MISFIT_RATIO)
+
+
+def _confirmed(fit: PlaneWaveFit, likely: Sequence[Verdict], none: Hypothesis) -> list[Verdict]:
+    """New verdicts on the likely hypotheses that beat ``none`` by waves of any kind, too."""
+    if not likely:
+        return []
+    kept = [verdict.hypothesis for verdict in sorted(likely, key=_misfit)[:MAX_LIKELY]]
+    scores, reference = fit.fine_scores(kept), fit.fine_scores([none])[0]
+    least = MIN_GAIN if fit.redundant else MIN_GAIN_OF_FEW
+    found = _judge(kept, scores, reference, FINE_MISFIT_RATIO)
+    return [verdict for verdict in found if verdict.given - verdict.misfit > least]
+
+
+def _judge(
+    hypotheses: Sequence[Hypothesis], scores: FloatArray, reference: FloatArray, ratio: float
+) -> list[Verdict]:
+    """Verdicts on the hypotheses whose fits (H, B) clearly beat the fits ``reference`` (B,).
+
+    At most the share ``ratio`` of the misfit is left.
+    """
     given = max(1.0 - float(reference.mean()), 1e-6)
     verdicts = []
-    for hypothesis, score in zip(hypotheses, fit.scores(hypotheses), strict=True):
+    for hypothesis, score in zip(hypotheses, scores, strict=True):
         gain = score - reference
         error = float(gain.std()) / np.sqrt(gain.size)
         misfit = 1.0 - float(score.mean())
-        if misfit < MISFIT_RATIO * given and float(gain.mean()) > MIN_STATISTIC * error:
+        if misfit < ratio * given and float(gain.mean()) > MIN_STATISTIC * error:
             verdicts.append(Verdict(hypothesis, misfit, given))
     return verdicts
 

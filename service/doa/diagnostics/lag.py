@@ -1,35 +1,37 @@
-"""Channels later than any sound can be, by generalized cross-correlation over the excerpt."""
+"""Late and inverted channels, by generalized cross-correlation over the excerpt."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
 
 from service.doa.array import MAX_APERTURE, SPEED_OF_SOUND
-from service.doa.diagnostics.finding import Finding
-from service.doa.types import FloatArray
+from service.doa.diagnostics.finding import Finding, channel_list, is_or_are
+from service.doa.types import BoolArray, FloatArray
 
 MARGIN_S = 1.5e-4  # two samples at 16 kHz: peaks of reverberant speech wander by one
 MAX_LAG_S = 0.1  # a fifth of a segment; later channels share too little of it
+INVERTED = 1.2
+"""Least ratio of the correlation's trough to its peak: at most 0.7 on 120 good recordings of bare
+arrays and rigid spheres, at least 1.4 with a channel inverted"""
 PEAK_OVER_SPREAD = 8.0  # a peak among thousands of lags of noise reaches 4 to 5
 
 
-def channel_lags(segments: Sequence[FloatArray], sample_rate: int) -> FloatArray:
-    """Lag of every channel behind the first one, in seconds.
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """Delay and polarity of N channels against the first one."""
 
-    Parameters
-    ----------
-    segments : list of (N, T) float32
-    sample_rate : int
-        Hertz.
+    lags: FloatArray
+    """(N,) seconds, positive where late; NaN where the channels share too little sound to tell"""
+    inverted: BoolArray
+    """(N,) whether the sound has the other sign"""
 
-    Returns
-    -------
-    lags : (N,) float64
-        Positive where late; NaN where the channels share too little sound to tell.
-    """
+
+def alignment(segments: Sequence[FloatArray], sample_rate: int) -> Alignment:
+    """The alignment of the channels of segments (N, T) float32 at ``sample_rate`` hertz."""
     length = max(segment.shape[-1] for segment in segments)
     n_fft = scipy.fft.next_fast_len(2 * length, real=True)
     cross = np.zeros((segments[0].shape[0], n_fft // 2 + 1), dtype=np.complex64)
@@ -42,10 +44,29 @@ def channel_lags(segments: Sequence[FloatArray], sample_rate: int) -> FloatArray
     correlation = scipy.fft.irfft(cross, n_fft, axis=-1)
     reach = min(round(MAX_LAG_S * sample_rate), length // 2)
     around = np.concatenate([correlation[:, -reach:], correlation[:, : reach + 1]], axis=-1)
+    inverted = -around.min(axis=-1) > INVERTED * around.max(axis=-1)
+    around[inverted] *= -1
     peak = around.max(axis=-1)
     spread = np.maximum(around.std(axis=-1), np.finfo(np.float32).tiny)
+    known = peak > PEAK_OVER_SPREAD * spread
     lags = (around.argmax(axis=-1) - reach) / sample_rate
-    return np.where(peak > PEAK_OVER_SPREAD * spread, lags, np.nan)
+    return Alignment(np.where(known, lags, np.nan), inverted & known)
+
+
+def polarity_findings(inverted: BoolArray, names: Sequence[int]) -> list[Finding]:
+    """``channel_inverted`` for the channels (N,) whose sign is not that of most others."""
+    if not inverted.any():
+        return []
+    flipped = ~inverted if 2 * np.count_nonzero(inverted) > len(inverted) else inverted
+    channels = tuple(name for name, flag in zip(names, flipped, strict=True) if flag)
+    others = tuple(name for name, flag in zip(names, flipped, strict=True) if not flag)
+    either = ", or they are" if 2 * len(channels) == len(names) else ""
+    detail = (
+        f"{channel_list(channels)} {is_or_are(channels)} inverted against {channel_list(others)}"
+        f"{either}: the sound has the other sign there, which makes directions wrong; swap the two "
+        f"wires of the microphone, or multiply the samples by -1"
+    )
+    return [Finding("channel_inverted", detail, channels)]
 
 
 def lag_findings(
@@ -65,7 +86,7 @@ def lag_findings(
     """
     if not segments or len(names) < 2:
         return []
-    lags = channel_lags(segments, sample_rate)
+    lags = alignment(segments, sample_rate).lags
     # Only lags behind channel 0 itself are compared with a distance: with several sources, the
     # peaks of two other channels may belong to different ones and their difference to none.
     excess = np.abs(lags) > distances[0] / SPEED_OF_SOUND + MARGIN_S  # NaN is never in excess

@@ -1,4 +1,4 @@
-"""Findings from the sound itself: bandwidth, processed channels, delays, geometry."""
+"""Findings from the sound itself: bandwidth, processed channels, polarity, delays, geometry."""
 
 from __future__ import annotations
 
@@ -13,7 +13,12 @@ from service.doa.diagnostics.diffuse import size_findings
 from service.doa.diagnostics.finding import Finding
 from service.doa.diagnostics.fit import PlaneWaveFit
 from service.doa.diagnostics.geometry import MIN_MICROPHONES, geometry_findings
-from service.doa.diagnostics.lag import lag_findings, unknown_distances
+from service.doa.diagnostics.lag import (
+    alignment,
+    lag_findings,
+    polarity_findings,
+    unknown_distances,
+)
 from service.doa.diagnostics.processed import processed_findings
 from service.doa.types import FloatArray
 
@@ -48,7 +53,11 @@ def sound_findings(
     processed = processed_findings(segments, sample_rate, names)
     if processed:
         return [*findings, *processed], "first leave out the channel that is not a microphone"
-    delays, unchecked = _delays(segments, sample_rate, names, array, max_blocks)
+    inverted = alignment(segments, sample_rate).inverted
+    findings += polarity_findings(inverted, names)
+    signs = np.where(inverted, np.float32(-1), np.float32(1))[:, None]
+    upright = [segment * signs for segment in segments] if inverted.any() else segments
+    delays, unchecked = _delays(upright, sample_rate, names, array, max_blocks)
     return [*findings, *delays], unchecked
 
 

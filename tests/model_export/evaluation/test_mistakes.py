@@ -28,6 +28,7 @@ EXPECTED = {
     "geometry in centimetres": {"geometry_invalid"},
     "48 kHz declared as 16": {"sample_rate_wrong"},
     "one channel late by a sample": {"channel_late"},
+    "one channel inverted": {"channel_inverted"},
 }
 
 
