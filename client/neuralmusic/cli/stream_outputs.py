@@ -26,7 +26,7 @@ from neuralmusic.protocol.server_messages import (
 from neuralmusic.streams.inbox import Reconnecting, StreamEvent
 
 COLUMNS = (
-    "t_end", "capture_time_ns", "id", "azimuth_deg", "elevation_deg", "confidence", "active",
+    "t_start", "t_end", "capture_time_ns", "id", "azimuth_deg", "elevation_deg", "confidence", "active",
     "velocity_deg_s", "std_deg", "lag_ms",
 )  # fmt: skip
 MAX_DATAGRAM = 65_507
@@ -63,10 +63,10 @@ class Text:
 
 
 class JsonLines(Text):
-    """One result per line."""
+    """One result or warning per line; ``type`` tells them apart."""
 
     def text(self, event: StreamEvent) -> str:
-        return f"{json_line(event)}\n" if isinstance(event, RESULTS) else ""
+        return f"{json_line(event)}\n" if isinstance(event, (*RESULTS, StreamWarning)) else ""
 
 
 class OdasObjects(Text):
@@ -94,12 +94,17 @@ class CsvRows:
             return
         for source in event.sources:
             values = {**dict(event), **dict(source)}
-            self._writer.writerow([values[name] for name in COLUMNS])
+            self._writer.writerow([_cell(values[name]) for name in COLUMNS])
         self._file.flush()
 
     def close(self) -> None:
         if self._closing:
             self._file.close()
+
+
+def _cell(value: object) -> object:
+    """The value as a cell; booleans are JSON's, as in the other outputs."""
+    return str(value).lower() if isinstance(value, bool) else value
 
 
 class Datagrams:
@@ -167,7 +172,7 @@ def saved(path: Path) -> Output:
 
 def json_line(event: StreamEvent) -> str:
     """A result's JSON on one line; null fields are left out."""
-    assert isinstance(event, RESULTS)
+    assert isinstance(event, (*RESULTS, StreamWarning))
     return event.model_dump_json(exclude_none=True)
 
 
