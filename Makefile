@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 HOST := $(or $(NEURALMUSIC_HOST),127.0.0.1)
+# An address that stands for every interface is none that a client can call.
+REACHED := $(if $(filter 0.0.0.0 ::,$(HOST)),127.0.0.1,$(HOST))
 PORT := $(or $(NEURALMUSIC_PORT),8000)
 
 .PHONY: help install run dist test test-costs test-dist test-docker test-faults test-fuzz test-learns test-page test-processes test-ray test-soak lint types format bench contracts docs audit clean
@@ -50,9 +52,9 @@ run: $(VENV)/.ready
 	@echo
 	@echo "Once the service is up, localize the sample recording from another terminal:"
 	@echo
-	@echo "  curl -s -F audio=@examples/two-talkers.flac -F array=respeaker-usb-4mic-v2 http://$(HOST):$(PORT)/localize"
+	@echo "  curl -s -F audio=@examples/two-talkers.flac -F array=respeaker-usb-4mic-v2 http://$(REACHED):$(PORT)/localize"
 	@echo
-	@exec $(BIN)/neuralmusic serve
+	@exec $(BIN)/neuralmusic serve --host $(HOST) --port $(PORT)
 
 # Tests start a hundred processes of the service: each would compile it again.
 unexport PYTHONDONTWRITEBYTECODE

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import shutil
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from tempfile import TemporaryFile
+from typing import TYPE_CHECKING, BinaryIO, cast
 
 from neuralmusic.cli.flags import add_channel_map, array_text
 
@@ -12,13 +15,15 @@ if TYPE_CHECKING:
     from service.audio.recording import AudioLimits, Recording
     from service.doa.array import MicrophoneArray
 
+STDIN = Path("-")
 MAX_SECONDS = 86_400.0  # the service's limits protect other clients; this machine is the user's own
 MAX_CHANNELS = 256
 
 
 def add_recording(parser: argparse.ArgumentParser) -> None:
     """The positional FILE and ``--channel-map``."""
-    parser.add_argument("file", type=Path, metavar="FILE", help="a multichannel WAV or FLAC file")
+    words = "a multichannel WAV or FLAC file; - is standard input"
+    parser.add_argument("file", type=Path, metavar="FILE", help=words)
     add_channel_map(parser)
 
 
@@ -30,10 +35,17 @@ def generous_limits() -> AudioLimits:
 
 
 def open_recording(path: Path) -> Recording:
-    """Open a file with generous limits."""
+    """Open a file, or standard input's copy on disk for ``-``, with generous limits."""
     from service.audio.recording import Recording
 
-    return Recording.open(path, generous_limits())
+    return Recording.open(_standard_input() if path == STDIN else path, generous_limits())
+
+
+def _standard_input() -> BinaryIO:
+    """All of standard input in a temporary file, as readers seek; it vanishes when closed."""
+    file = cast("BinaryIO", TemporaryFile())  # noqa: SIM115 - it lives as long as the recording
+    shutil.copyfileobj(sys.stdin.buffer, file)
+    return file
 
 
 def read_array(argument: str) -> MicrophoneArray:

@@ -114,7 +114,7 @@ def localize_recording(
         array=array,
         channel_map=channel_map,
         windows=results,
-        summary=summarise(results),
+        summary=summarise(results, options.num_sources),
         warnings=[
             *assumed,
             *([LENGTH_UNKNOWN] if recording.open_ended else []),

@@ -24,11 +24,12 @@ MAX_SUMMARY = 8
 VOTES_AT_A_TIME = 256
 
 
-def summarise(windows: Iterable[WindowResult]) -> list[SummarySource]:
+def summarise(windows: Iterable[WindowResult], most: int | None = None) -> list[SummarySource]:
     """Cluster the windows' sources, the most frequent first.
 
     Every estimate votes with its confidence under a Gaussian kernel, and the votes' maxima are
-    the sources. Those heard in under a tenth of the windows with any source are left out.
+    the sources. Those heard in under a tenth of the windows with any source are left out. Of more than ``most``, those of the highest confidence over all these
+    windows stay.
     """
     owner, azimuth, elevation, confidence = _columns(windows)
     if not len(owner):
@@ -48,7 +49,8 @@ def summarise(windows: Iterable[WindowResult]) -> list[SummarySource]:
             towards, height = azimuth_elevation(mean)
             chance = float(confidence[members].mean())
             sources.append(SummarySource(towards, chance, float(share), None if level else height))
-    return sorted(sources, key=lambda source: -source.share)
+    sources.sort(key=lambda source: -source.share * source.confidence)
+    return sorted(sources[:most], key=lambda source: -source.share)
 
 
 def _columns(

@@ -28,8 +28,8 @@ from neuralmusic.protocol.server_messages import (
 from neuralmusic.streams.inbox import NewSession, Reconnecting, StreamEvent
 
 COLUMNS = (
-    "t_end", "capture_time_ns", "id", "azimuth_deg", "elevation_deg", "confidence", "active",
-    "velocity_deg_s", "std_deg", "lag_ms", "session",
+    "t_start", "t_end", "capture_time_ns", "id", "azimuth_deg", "elevation_deg", "confidence",
+    "active", "velocity_deg_s", "std_deg", "lag_ms", "session",
 )  # fmt: skip
 MAX_DATAGRAM = 65_507
 
@@ -65,10 +65,11 @@ class Text:
 
 
 class JsonLines(Text):
-    """One result per line, and a line where another session begins."""
+    """One result or warning per line, and one where another session begins; ``type`` tells."""
 
     def text(self, event: StreamEvent) -> str:
-        return f"{json_line(event)}\n" if isinstance(event, (*RESULTS, NewSession)) else ""
+        told = (*RESULTS, StreamWarning, NewSession)
+        return f"{json_line(event)}\n" if isinstance(event, told) else ""
 
 
 class OdasObjects(Text):
@@ -96,12 +97,17 @@ class CsvRows:
             return
         for source in event.sources:
             values = {**dict(event), **dict(source)}
-            self._writer.writerow([values[name] for name in COLUMNS])
+            self._writer.writerow([_cell(values[name]) for name in COLUMNS])
         self._file.flush()
 
     def close(self) -> None:
         if self._closing:
             self._file.close()
+
+
+def _cell(value: object) -> object:
+    """The value as a cell; booleans are JSON's, as in the other outputs."""
+    return str(value).lower() if isinstance(value, bool) else value
 
 
 class Datagrams:
@@ -170,10 +176,10 @@ def saved(path: Path) -> Output:
 
 
 def json_line(event: StreamEvent) -> str:
-    """The JSON of a result or of a new session on one line; null fields are left out."""
+    """The JSON of a result, a warning or a new session on one line; null fields are left out."""
     if isinstance(event, NewSession):
         return json.dumps({"type": "new_session", **asdict(event)})
-    assert isinstance(event, RESULTS)
+    assert isinstance(event, (*RESULTS, StreamWarning))
     return event.model_dump_json(exclude_none=True)
 
 

@@ -161,6 +161,25 @@ def test_localize_prints_the_direction(talker: str, capsys: pytest.CaptureFixtur
     assert "60° front left" in out.splitlines()[2]
 
 
+@pytest.mark.parametrize("command", ["localize", "check", "noise"])
+def test_a_recording_may_come_from_standard_input(
+    talker: str, command: str, tmp_path: Path
+) -> None:
+    """A pipe, which cannot be sought, gives what the file gives."""
+    answers = []
+    for file, piped in ((talker, b""), ("-", Path(talker).read_bytes())):
+        profile = tmp_path / "profile.npz"
+        more = ["--out", str(profile)] if command == "noise" else ["--json"]
+        argv = [command, file, "--array", ARRAY, *more]
+        code = f"import sys; from neuralmusic.cli import main; sys.exit(main({argv!r}))"
+        done = subprocess.run(
+            [sys.executable, "-c", code], input=piped, capture_output=True, check=False
+        )
+        answers.append((done.returncode, done.stdout, done.stderr))
+    assert answers[0][0] != 2
+    assert answers[0] == answers[1]
+
+
 def test_localize_prints_the_json_of_the_http_interface(
     moving: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -358,12 +377,15 @@ def test_every_setting_has_a_documented_flag(capsys: pytest.CaptureFixture[str])
         assert f"NEURALMUSIC_{name.upper()}" in out
 
 
-def test_interruption_has_the_exit_code_of_shells(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interruption_is_one_line_and_the_exit_code_of_shells(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def interrupted(args: object) -> int:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(neuralmusic.cli.arrays, "run", interrupted)
     assert main(["arrays"]) == 130
+    assert capsys.readouterr() == ("", "interrupted\n")
 
 
 def test_a_reader_that_went_away_is_no_traceback() -> None:

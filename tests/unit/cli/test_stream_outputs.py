@@ -20,6 +20,7 @@ from stream_command import run
 from neuralmusic import Reconnecting
 from neuralmusic.cli.addresses import Address, read_address
 from neuralmusic.cli.odas import odas_text
+from neuralmusic.cli.stream_outputs import CsvRows, JsonLines
 from neuralmusic.cli.stream_table import LiveTable
 from neuralmusic.errors import InvalidOption
 from neuralmusic.protocol.server_messages import (
@@ -92,6 +93,20 @@ def test_a_file_gives_lines_of_json_rows_and_datagrams(
         source["azimuth_deg"] for line in lines for source in line["sources"]
     ]
     assert err.splitlines()[-1].startswith("2.0 s of audio, ")
+
+
+def test_warnings_are_lines_and_rows_have_their_start_and_booleans_of_json() -> None:
+    lines, rows = io.StringIO(), io.StringIO()
+    warning = StreamWarning(seq=2, code="clipping", detail="channel 2 clips: turn it down")
+    heard = result(1, 10.0)
+    for output in (JsonLines(lines), CsvRows(rows)):
+        for event in (ready(), heard, warning):
+            output.show(event)
+    first, second = map(json.loads, lines.getvalue().splitlines())
+    assert (first["type"], second["type"], second["code"]) == ("result", "warning", "clipping")
+    (row,) = csv.DictReader(io.StringIO(rows.getvalue()))
+    assert (float(row["t_start"]), float(row["t_end"])) == (heard.t_start, heard.t_end)
+    assert json.loads(row["active"]) is heard.sources[0].active
 
 
 class OdasReader:

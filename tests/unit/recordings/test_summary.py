@@ -22,6 +22,15 @@ def test_two_talkers_with_their_shares() -> None:
     assert found[0].confidence == pytest.approx(0.8)
 
 
+def test_a_bound_keeps_the_most_confident_over_the_whole_recording() -> None:
+    """Two talkers of which one is heard at a time are two without the bound."""
+    windows = [window(45, confidence=0.4)] * 6 + [window(200, confidence=0.9)] * 4
+    windows += [window(300, confidence=0.95)] * 2  # surest, but hardly ever
+    assert len(summarise(windows)) == 3
+    assert [round(np.rad2deg(s.azimuth)) for s in summarise(windows, 2)] == [45, 200]
+    assert [round(np.rad2deg(s.azimuth)) for s in summarise(windows, 1)] == [200]
+
+
 def test_a_talker_in_front_of_the_seam_is_one_talker() -> None:
     (only,) = summarise([window(358), window(2), window(0)])
     assert np.rad2deg(only.azimuth) % 360 == pytest.approx(0, abs=0.5) or only.azimuth > 6.27
