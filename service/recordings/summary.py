@@ -28,8 +28,8 @@ def summarise(windows: Iterable[WindowResult], most: int | None = None) -> list[
     """Cluster the windows' sources, the most frequent first.
 
     Every estimate votes with its confidence under a Gaussian kernel, and the votes' maxima are
-    the sources. Those heard in under a tenth of the windows with any source are left out. Of more than ``most``, those of the highest confidence over all these
-    windows stay.
+    the sources. Those heard in under a tenth of the windows with any source are left out. Of more
+    than ``most``, those of the highest confidence over all these windows stay.
     """
     owner, azimuth, elevation, confidence = _columns(windows)
     if not len(owner):
