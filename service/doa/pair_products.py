@@ -43,7 +43,7 @@ class PairProducts:
         return products
 
     def entries(self, matrices: ComplexArray) -> ComplexArray:
-        """Entries (N (N - 1) / 2, 1, F) above the diagonals of matrices (F, N, N), for ``power``."""
+        """Entries (N (N - 1) / 2, 1, F) above the diagonals of matrices (F, N, N)."""
         above: ComplexArray = matrices[:, self._first, self._second].T[:, None]
         return above
 

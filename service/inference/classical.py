@@ -23,7 +23,7 @@ from service.doa.fusion import mean_fusion, normalised_fusion
 from service.doa.hemisphere import searched_directions
 from service.doa.mirror import searched_half
 from service.doa.music import music_spectrum
-from service.doa.pair_products import pair_products
+from service.doa.pair_products import PairProducts, pair_products
 from service.doa.peaks import find_peaks
 from service.doa.sphere import NUM_AZIMUTHS, azimuth_elevation, climbed
 from service.doa.steering import azimuth_grid, direction_steering, unit_vectors
@@ -50,7 +50,9 @@ LEAST_DEVIATIONS = 7.0
 """Least peak of GCC-PHAT's response in standard deviations of the response to white noise, whose
 mean over F bins and P pairs of random phases is 1 / sqrt(2 F P); white noise stays below 6"""
 
-STEERED = {"srp_phat": classical.srp_phat, "gcc_phat": classical.gcc_phat}
+STEERED: Mapping[
+    Method, Callable[[ComplexArray, ComplexArray, PairProducts | None], FloatArray]
+] = {"srp_phat": classical.srp_phat, "gcc_phat": classical.gcc_phat}
 """Spectra that need no subspace"""
 
 
