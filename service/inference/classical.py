@@ -98,7 +98,7 @@ SPHERE_CHANCES: Mapping[Method, Chances] = {
     "norm_music": Chances(Curve(7.8, 0.39), Curve(3.8, 0.59), 0.28),
     "music": Chances(Curve(4.0, 0.60), Curve(0.6, 2.0), 0.01),
     "srp_phat": Chances(Curve(7.5, 0.20), Curve(9.5, 0.23), 0.10),
-    "gcc_phat": Chances(Curve(12.9, 0.52), Curve(6.0, 0.43), 0.19),
+    "gcc_phat": Chances(Curve(19.7, 0.51), Curve(15.0, 0.51), 0.20),
 }
 """The same on the sphere, from 480 windows of three arrays with height"""
 
