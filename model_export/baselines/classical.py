@@ -1,18 +1,16 @@
-"""MUSIC, NormMUSIC and SRP-PHAT of the service, and the list of all classical methods."""
+"""The classical methods of the service, and the list of all classical methods."""
 
 from __future__ import annotations
-
-from typing import Literal
 
 import numpy as np
 
 from model_export.baselines.coherent import Cssm, Waves
 from model_export.baselines.frida import Frida
-from model_export.baselines.gcc_phat import GccPhat
 from model_export.baselines.method import Card, Estimate, Method
 from model_export.baselines.root_music import RootMusic
-from model_export.baselines.told import SPEECH_BAND, STFT, ToldMethod
+from model_export.baselines.told import STFT, ToldMethod
 from model_export.baselines.tops import Tops
+from neuralmusic.protocol.methods import Method as ServiceName
 from service.doa.array import MicrophoneArray
 from service.doa.types import FloatArray
 from service.inference.classical import ClassicalLocalizer
@@ -39,21 +37,26 @@ SRP_PHAT = Card(
     "DiBiase, 2000, A high-accuracy, low-latency technique for talker localization, eq. (5.2)",
     "far field, 300-3500 Hz; the paper's beamforming",
 )
+GCC_PHAT = Card(
+    "gcc_phat",
+    "GCC-PHAT",
+    "classical",
+    "Knapp, Carter, 1976, The generalized correlation method for estimation of time delay, "
+    "table I (PHAT)",
+    "the pairs' correlations at every azimuth's delays, summed; 300-6000 Hz",
+)
 
 
 class ServiceMethod(ToldMethod[ClassicalLocalizer]):
-    """A classical method of the service with a known count.
+    """A classical method of the service with a known count."""
 
-    ``name`` is the service's own: ``"music"``, ``"norm_music"`` or ``"srp_phat"``.
-    """
-
-    def __init__(self, name: Literal["music", "norm_music", "srp_phat"]) -> None:
+    def __init__(self, name: ServiceName) -> None:
         super().__init__()
         self.card = CARDS[name]  # type: ignore[misc]
         self._name = name
 
     def prepare(self, array: MicrophoneArray) -> ClassicalLocalizer:
-        return ClassicalLocalizer(self._name, array, STFT, band=SPEECH_BAND)
+        return ClassicalLocalizer(self._name, array, STFT)
 
     def estimate(
         self, audio: FloatArray, prepared: ClassicalLocalizer, num_sources: int
@@ -64,7 +67,7 @@ class ServiceMethod(ToldMethod[ClassicalLocalizer]):
         return Estimate(azimuth, window.spectrum)
 
 
-CARDS = {card.name: card for card in (MUSIC, NORM_MUSIC, SRP_PHAT)}
+CARDS = {card.name: card for card in (MUSIC, NORM_MUSIC, SRP_PHAT, GCC_PHAT)}
 
 
 def classical_methods() -> list[Method]:
@@ -73,7 +76,7 @@ def classical_methods() -> list[Method]:
         ServiceMethod("music"),
         ServiceMethod("norm_music"),
         ServiceMethod("srp_phat"),
-        GccPhat(),
+        ServiceMethod("gcc_phat"),
         Tops(),
         Cssm(),
         Waves(),

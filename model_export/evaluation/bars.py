@@ -69,21 +69,22 @@ class Verdict:
     bar: Bar
     ours: float | None
     peer: float | None
+    gcc_phat: float | None
     met: bool | None
 
 
 def judge(bar: Bar, scores: Scores, model: str = JUDGED) -> Verdict:
     """Compare a run's scores with one bar."""
-    ours, peer = (_mean(bar, scores, method) for method in (model, PEER))
+    ours, peer, gcc_phat = (_mean(bar, scores, method) for method in (model, PEER, "gcc_phat"))
     if ours is None or (bar.share is not None and peer is None):
-        return Verdict(bar, ours, peer, None)
+        return Verdict(bar, ours, peer, gcc_phat, None)
     met = True
     if bar.limit is not None:
         relation, bound = bar.limit
         met = RELATIONS[relation](ours, bound)
     if bar.share is not None and peer is not None:
         met = met and ours <= bar.share * peer
-    return Verdict(bar, ours, peer, met)
+    return Verdict(bar, ours, peer, gcc_phat, met)
 
 
 def bars_section(scores: Scores, model: str = JUDGED) -> str:
@@ -97,10 +98,11 @@ def bars_section(scores: Scores, model: str = JUDGED) -> str:
     lines = [
         f"The bundle `{model}`, the service's default: {met} of {len(verdicts)} bars met.",
         "NormMUSIC is pyroomacoustics', as below. It is told the number of talkers in every cell;",
-        'the bundle is told it only where the cell does not say "count unknown".',
+        "the bundle and the service's GCC-PHAT are told it only where the cell does not say",
+        '"count unknown".',
         "",
-        f"| bar | asked | paper | {model} | NormMUSIC | share of NormMUSIC | verdict |",
-        "|---|---|---|---|---|---|---|",
+        f"| bar | asked | paper | {model} | GCC-PHAT | NormMUSIC | share of NormMUSIC | verdict |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for verdict in verdicts:
         bar = verdict.bar
@@ -109,6 +111,7 @@ def bars_section(scores: Scores, model: str = JUDGED) -> str:
             _asked(bar),
             _shown(bar.score, bar.paper),
             _shown(bar.score, verdict.ours),
+            _shown(bar.score, verdict.gcc_phat),
             _shown(bar.score, verdict.peer),
             _ratio(verdict),
             {True: "met", False: "**short**", None: "–"}[verdict.met],

@@ -23,6 +23,7 @@ COLOURS = {
     "any-array": "#d1495b",
     "paper": "#e9a23b",
     PEER: "#1f2937",
+    "gcc_phat": "#5b5f97",
     "srp_phat": "#2a9d8f",
     "music": "#9aa5b1",
 }

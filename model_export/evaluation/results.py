@@ -40,6 +40,7 @@ README_CELLS = (
     "M=1, 10x8x3.5 m, RT60 0.6 s",
     "M=1, order 4, 6-mic circular",
 )
+README_METHODS = ("any-array", "paper", PEER, "gcc_phat", "srp_phat")
 README_PREFACE = """\
 Mean absolute angular error in degrees, {scenes} simulated scenes a row, held-out speakers, the
 number of talkers known. `any-array` is the default model, trained on none of these arrays, but in
@@ -144,7 +145,9 @@ class Results:
 
     def readme_block(self) -> str:
         """The text between the README's markers."""
-        table = self.table("maae_deg", README_CELLS, ["any-array", "paper", PEER, "srp_phat"])
+        ran = {method for cell in README_CELLS for method in self.cells.get(cell, {})}
+        methods = [method for method in README_METHODS if method in ran]
+        table = self.table("maae_deg", README_CELLS, methods)
         return f"{README_PREFACE.format(scenes=self.scenes)}\n{table}"
 
     def bundle_scores(self, name: str) -> dict[str, Any]:

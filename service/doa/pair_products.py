@@ -42,6 +42,11 @@ class PairProducts:
         products: ComplexArray = vectors[self._first] * np.conj(vectors[self._second])
         return products
 
+    def entries(self, matrices: ComplexArray) -> ComplexArray:
+        """Entries (N (N - 1) / 2, 1, F) above the diagonals of matrices (F, N, N)."""
+        above: ComplexArray = matrices[:, self._first, self._second].T[:, None]
+        return above
+
     def projector_power(self, projector: ComplexArray, rank: int) -> FloatArray:
         """||Us^H a||^2 / N (F, A) float32 of projectors Us Us^H (N, N, F) of this rank."""
         return self.power(rank, projector[self._first, self._second][:, None])[:, 0]

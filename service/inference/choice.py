@@ -42,7 +42,7 @@ def choose_method(
     if method == "neural":
         raise GeometryMismatch(
             f"no loaded model fits the array {array.name}: leave the method out, or "
-            "choose norm_music, music or srp_phat"
+            "choose norm_music, music, srp_phat or gcc_phat"
         )
     return "norm_music", None
 

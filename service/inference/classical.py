@@ -23,7 +23,7 @@ from service.doa.fusion import mean_fusion, normalised_fusion
 from service.doa.hemisphere import searched_directions
 from service.doa.mirror import searched_half
 from service.doa.music import music_spectrum
-from service.doa.pair_products import pair_products
+from service.doa.pair_products import PairProducts, pair_products
 from service.doa.peaks import find_peaks
 from service.doa.sphere import NUM_AZIMUTHS, azimuth_elevation, climbed
 from service.doa.steering import azimuth_grid, direction_steering, unit_vectors
@@ -34,15 +34,26 @@ from service.inference.results import Source, WindowEstimate, nothing_heard
 
 BAND = (300.0, 3500.0)
 """Hertz: below, small arrays see no delay; above, speech is weak and delays are ambiguous"""
+GCC_BAND = (300.0, 6000.0)
+"""Hertz for GCC-PHAT: the wider the band, the narrower a correlation's peak, and pairs that are
+ambiguous above 3500 Hz are not so at the same delays"""
 RELATIVE_HEIGHT = 0.6
 """Least height of a source's peak above the mean, against the highest peak's"""
-LEAST_CONTRAST = {"norm_music": 0.32, "music": 0.32, "srp_phat": 0.24}
+LEAST_CONTRAST = {"norm_music": 0.32, "music": 0.32, "srp_phat": 0.24, "gcc_phat": 0.5}
 """Least 1 - mean / peak of a spectrum with a direction; white and diffuse noise stay below"""
-SPHERE_LEAST_CONTRAST = {"norm_music": 0.42, "music": 0.42, "srp_phat": 0.24}
+SPHERE_LEAST_CONTRAST = {"norm_music": 0.42, "music": 0.42, "srp_phat": 0.24, "gcc_phat": 0.5}
 """The same on the sphere, where a mean holds more of what is far from a peak; one window in
 twenty of white or diffuse noise is above"""
 LEAST_RESPONSE = 0.03
 """Least peak of SRP-PHAT's response, 1 for a plane wave; white noise stays below 0.02"""
+LEAST_DEVIATIONS = 7.0
+"""Least peak of GCC-PHAT's response in standard deviations of the response to white noise, whose
+mean over F bins and P pairs of random phases is 1 / sqrt(2 F P); white noise stays below 6"""
+
+STEERED: Mapping[
+    Method, Callable[[ComplexArray, ComplexArray, PairProducts | None], FloatArray]
+] = {"srp_phat": classical.srp_phat, "gcc_phat": classical.gcc_phat}
+"""Spectra that need no subspace"""
 
 
 class Grid:
@@ -79,13 +90,15 @@ CHANCES: Mapping[Method, Chances] = {
     "norm_music": Chances(Curve(7.2, 0.15), Curve(3.1, 0.21), 0.19),
     "music": Chances(Curve(4.7, 0.17), Curve(1.4, 0.35), 0.03),
     "srp_phat": Chances(Curve(10.7, 0.27), Curve(5.4, 0.16), 0.19),
+    "gcc_phat": Chances(Curve(12.9, 0.52), Curve(6.0, 0.43), 0.19),
 }
-"""Chances by method, fitted to 1,800 simulated windows by
+"""Chances by method, fitted to 1,800 simulated windows (GCC-PHAT's: 600) by
 ``python -m model_export classical-confidence``"""
 SPHERE_CHANCES: Mapping[Method, Chances] = {
     "norm_music": Chances(Curve(7.8, 0.39), Curve(3.8, 0.59), 0.28),
     "music": Chances(Curve(4.0, 0.60), Curve(0.6, 2.0), 0.01),
     "srp_phat": Chances(Curve(7.5, 0.20), Curve(9.5, 0.23), 0.10),
+    "gcc_phat": Chances(Curve(19.7, 0.51), Curve(15.0, 0.51), 0.20),
 }
 """The same on the sphere, from 480 windows of three arrays with height"""
 
@@ -105,7 +118,10 @@ def shared_grid(positions: FloatArray, frequencies: FloatArray, directions: Floa
 
 
 class ClassicalLocalizer:
-    """MUSIC, NormMUSIC or SRP-PHAT on windows of one array's audio."""
+    """MUSIC, NormMUSIC, SRP-PHAT or GCC-PHAT on windows of one array's audio.
+
+    The band in hertz is the method's own by default.
+    """
 
     def __init__(
         self,
@@ -115,9 +131,11 @@ class ClassicalLocalizer:
         noise: NoiseCovariance | None = None,
         hemisphere: Hemisphere = "both",
         *,
-        band: tuple[float, float] = BAND,
+        band: tuple[float, float] | None = None,
     ) -> None:
+        band = band or (GCC_BAND if method == "gcc_phat" else BAND)
         self._method = method
+        self._steered = STEERED.get(method)
         self._stft = stft or Stft()
         frequencies = self._stft.frequencies
         # A slice: an array of bins would copy every window's spectra.
@@ -145,6 +163,12 @@ class ClassicalLocalizer:
             NUM_AZIMUTHS if self._sphere else len(self._searched), sphere=self._sphere is not None
         )
         self._most_sources = array.num_microphones - 1
+        pairs = self._most_sources * array.num_microphones / 2
+        bins = self._band.stop - self._band.start
+        self._least_response = {
+            "srp_phat": LEAST_RESPONSE,
+            "gcc_phat": LEAST_DEVIATIONS / math.sqrt(2 * bins * pairs),
+        }.get(method, 0.0)
 
     def estimate(
         self, windows: FloatArray, num_sources: int | None, max_sources: int
@@ -173,9 +197,7 @@ class ClassicalLocalizer:
         highest = float(spectrum.max())
         scaled = spectrum / np.float32(highest) if highest > 0 else spectrum
         mean = float(scaled.mean())
-        directed = 1 - mean >= self._least_contrast
-        if self._method == "srp_phat":
-            directed = directed and highest >= LEAST_RESPONSE
+        directed = 1 - mean >= self._least_contrast and highest >= self._least_response
         level = 0.0
         if num_sources is None:
             level = mean + RELATIVE_HEIGHT * (1 - mean) if directed else math.inf
@@ -211,8 +233,8 @@ class ClassicalLocalizer:
     ) -> tuple[FloatArray, FloatArray | None]:
         """The spectrum, and for NormMUSIC each bin's maximum (F,)."""
         steering, products = self._grid.steering, self._grid.products
-        if self._method == "srp_phat":
-            return np.maximum(classical.srp_phat(covariance, steering), 0), None
+        if self._steered is not None:
+            return np.maximum(self._steered(covariance, steering, products), 0), None
         bins = classical.music_of_bins(covariance, steering, num_sources, products)
         if self._method == "music":
             return mean_fusion(bins), None
@@ -231,14 +253,13 @@ class ClassicalLocalizer:
         """
         if not vertices:
             return []
-        subspace = None
-        if self._method != "srp_phat":
-            subspace = signal_subspace(covariance, num_sources)
+        steered = self._steered
+        subspace = signal_subspace(covariance, num_sources) if steered is None else covariance
 
         def values(directions: FloatArray) -> FloatArray:
             steering = self._steering(directions)
-            if subspace is None:
-                return np.maximum(classical.srp_phat(covariance, steering), 0)
+            if steered is not None:
+                return np.maximum(steered(covariance, steering, None), 0)
             bins = music_spectrum(subspace, steering)
             if highest is not None:
                 bins /= np.maximum(highest, bins.max(axis=-1))[:, None]

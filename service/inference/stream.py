@@ -5,7 +5,7 @@ Task: the work of ``Localizer`` on overlapping windows, without computing anythi
 Kinds
 -----
 WeightsStream : a `weights` bundle; network, covariances and spectra are updated.
-ClassicalStream : MUSIC, NormMUSIC, SRP-PHAT; sums of outer products are updated.
+ClassicalStream : the classical methods; sums of outer products are updated.
 WindowStream : a `regression` bundle, whose network takes whole windows: spectra are kept, the
     network runs on all of them at every result.
 """

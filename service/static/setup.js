@@ -7,7 +7,7 @@ import { byId, checkRange, element } from "./dom.js";
 import { METHODS, capital, counted, duration } from "./words.js";
 
 const MAX_SOURCES = 4;
-const CLASSICAL = ["norm_music", "music", "srp_phat"];
+const CLASSICAL = ["norm_music", "music", "srp_phat", "gcc_phat"];
 
 export class Setup {
   file = null;

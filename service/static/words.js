@@ -44,6 +44,7 @@ export const METHODS = {
   norm_music: "normalised MUSIC",
   music: "MUSIC",
   srp_phat: "SRP-PHAT",
+  gcc_phat: "GCC-PHAT",
 };
 
 /** What a warning is about. */

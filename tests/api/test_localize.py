@@ -22,7 +22,7 @@ def strongest(answer: dict[str, Any]) -> float:
     return float(answer["summary"]["sources"][0]["azimuth_deg"])
 
 
-@pytest.mark.parametrize("method", ["norm_music", "music", "srp_phat"])
+@pytest.mark.parametrize("method", ["norm_music", "music", "srp_phat", "gcc_phat"])
 def test_a_plane_wave_comes_from_where_it_came(localize: Any, sounds: Any, method: str) -> None:
     answer = localize.raw(sounds.wav(77.0), method=method).json()
     assert answer["method"] == method

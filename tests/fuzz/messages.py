@@ -43,7 +43,7 @@ TUNED: dict[str, tuple[Any, ...]] = {
     "channels": (1, 2, 3, 5, 6, 8, 64),
     "encoding": ("pcm_s16le", "pcm_s24le", "pcm_s32le", "pcm_f32le"),
     "header": ("none", "seq_time"),
-    "method": ("neural", "norm_music", "music", "srp_phat", None),
+    "method": ("neural", "norm_music", "music", "srp_phat", "gcc_phat", None),
     "model": ("default", "paper", "any-array"),
     "overflow": ("drop_oldest", "block"),
     "client": ("robot-1", "robot-2", None),

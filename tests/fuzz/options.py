@@ -72,7 +72,7 @@ VALUES: dict[str, tuple[str, ...]] = {
         "0,1,2,true",
     ),
     "model": ("any-array", "paper", "default", "nobody", "../paper", "\ud800"),
-    "method": ("music", "norm_music", "srp_phat", "neural", "NEURAL", "nobody"),
+    "method": ("music", "norm_music", "srp_phat", "gcc_phat", "neural", "NEURAL", "nobody"),
     "num_sources": ("1", "2", "3", "4", "5", "0", "99999999999", "1.0", "+1"),
     "max_sources": ("1", "4", "5", "0", "-0"),
     "window_s": ("0.128", "10", "0.127", "0.1280000001", "1e-9", ".5", "5.", "1e1", "9.99999"),

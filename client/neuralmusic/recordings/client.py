@@ -86,8 +86,8 @@ class LocalizationClient:
         model : str, optional
             A model's name; by default the first that fits the array.
         method : str, optional
-            ``neural``, ``norm_music``, ``music`` or ``srp_phat``; by default ``neural`` where a
-            model fits the array, else ``norm_music``.
+            ``neural``, ``norm_music``, ``music``, ``srp_phat`` or ``gcc_phat``; by default
+            ``neural`` where a model fits the array, else ``norm_music``.
         num_sources, max_sources : int, optional
             The known number of sources, or a bound on the estimated one.
         window_s, hop_s : float, optional

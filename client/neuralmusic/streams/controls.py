@@ -75,8 +75,8 @@ class StreamControls:
         model : str, optional
             A model's name; by default the first that fits the array.
         method : str, optional
-            ``neural``, ``norm_music``, ``music`` or ``srp_phat``; by default ``neural`` where a
-            model fits the array, else ``norm_music``.
+            ``neural``, ``norm_music``, ``music``, ``srp_phat`` or ``gcc_phat``; by default
+            ``neural`` where a model fits the array, else ``norm_music``.
         output : OutputOptions or mapping, optional
             Content and rate of results: ``{"interval_ms": 200, "yaw_deg": 90}``.
         overflow : str, optional

@@ -9,7 +9,6 @@ from plane_waves import plane_waves
 from model_export.baselines.classical import classical_methods
 from model_export.baselines.coherent import Cssm, Waves
 from model_export.baselines.frida import Frida, distinct_baselines
-from model_export.baselines.gcc_phat import phat_correlation
 from model_export.baselines.method import Method
 from service.doa.array import MicrophoneArray
 from service.doa.presets import preset
@@ -87,15 +86,6 @@ def test_a_second_array_takes_the_place_of_the_first() -> None:
     assert error_deg(method, SQUARE, [70.0]) < 1
     assert error_deg(method, SQUARE.rotated(np.deg2rad(40.0)), [70.0]) < 1
     assert error_deg(method, preset("respeaker-6mic-circular"), [70.0]) < 1
-
-
-def test_the_correlation_of_a_delayed_channel_peaks_at_the_delay() -> None:
-    frequencies = np.fft.rfftfreq(512, 1 / 16000)
-    delay = 2.25 / 16000
-    cross = np.exp(2j * np.pi * frequencies * delay)[None].astype(np.complex64)
-    correlation = phat_correlation(7.0 * cross)[0]
-    assert int(correlation.argmax()) == (-int(2.25 * 16)) % correlation.size
-    np.testing.assert_allclose(correlation.max(), 1, atol=1e-3)
 
 
 def test_frida_repeats_its_answer_and_leaves_the_random_numbers_alone() -> None:

@@ -8,6 +8,7 @@ from model_export.evaluation.bars import BARS, Bar, bars_section, judge
 from model_export.evaluation.cells import CELLS
 from model_export.evaluation.false_sources import NOISES
 from model_export.evaluation.methods import PEER
+from model_export.evaluation.results import README_CELLS, Results
 
 
 def scores(ours: float, peer: float, score: str = "maae_deg") -> dict:
@@ -52,11 +53,19 @@ def test_every_bar_is_of_a_cell_that_is_run() -> None:
 
 def test_the_section_says_who_is_judged_and_how() -> None:
     name = "M=1, order 4, 30 dB"
-    run = {name: {"any-array": {"maae_deg": 0.41}, PEER: {"maae_deg": 1.30}}}
+    found = {"any-array": 0.41, PEER: 1.30, "gcc_phat": 1.12}
+    run = {name: {method: {"maae_deg": error} for method, error in found.items()}}
     section = bars_section(run)
     assert "`any-array`" in section
     assert "0 of 1 bars met" in section
     assert (
-        f"| {name}: error | at most 0.40°, at most 0.3 of NormMUSIC's | 1.41° | 0.41° | 1.30° "
-        "| 0.32 | **short** |"
+        f"| {name}: error | at most 0.40°, at most 0.3 of NormMUSIC's | 1.41° | 0.41° | 1.12° "
+        "| 1.30° | 0.32 | **short** |"
     ) in section
+
+
+def test_the_readme_has_a_column_for_every_method_that_ran() -> None:
+    found = {method: {"maae_deg": 1.0} for method in ("gcc_phat", "any-array")}
+    run = dict.fromkeys(README_CELLS, found)
+    block = Results(scenes=5, seed=0, cells=run).readme_block()
+    assert "| cell | any-array | gcc_phat |\n" in block

@@ -60,7 +60,7 @@ def test_tables_and_figures_are_written(evaluated: Path) -> None:
     assert set(results["cells"]) == {cell.name for cell in (*CELLS, *SHORT_NOISES)}
     for cell in CELLS:
         scores = results["cells"][cell.name]
-        assert set(scores) == {"any-array", "norm_music", "music", "srp_phat", PEER}
+        assert set(scores) == {"any-array", "norm_music", "music", "srp_phat", "gcc_phat", PEER}
     reported = {score for found in results["cells"].values() for score in found["any-array"]}
     assert set(TITLES) <= reported
     assert list(results["reliability"]) == ["any-array"]

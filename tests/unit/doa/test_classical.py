@@ -8,6 +8,7 @@ import pytest
 
 from service.doa import classical
 from service.doa.covariance import sample_covariance
+from service.doa.pair_products import PairProducts
 from service.doa.presets import preset
 from service.doa.steering import azimuth_grid, steering_vectors
 from service.doa.stft import Stft
@@ -55,6 +56,26 @@ def test_spectra_agree_with_pyroomacoustics(ours: str, theirs: str, num_sources:
     expected = reference(theirs, spectra, num_sources)
     # Each library scales its spectrum in its own way (SRP also by an offset); shapes must agree.
     np.testing.assert_allclose(scaled(spectrum), scaled(expected), atol=2e-3)
+
+
+def test_gcc_phat_is_the_pairs_correlations_at_the_azimuths_delays() -> None:
+    """The truth transforms every pair's whitened cross-spectrum back, one delay at a time."""
+    positions = preset("respeaker-usb-4mic-v2").positions
+    frequencies = STFT.frequencies[BAND]
+    covariance = sample_covariance(noisy_scene(3, 1)[:, BAND])
+    azimuths = azimuth_grid()[::30]
+    expected = np.zeros(len(azimuths))
+    for place, azimuth in enumerate(azimuths):
+        towards = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+        for i, j in ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)):
+            lead = (positions[i] - positions[j]) @ towards / 343.0
+            phase = np.angle(covariance[:, i, j]) - 2 * np.pi * frequencies * lead
+            expected[place] += np.cos(phase).mean() / 6
+    steering = steering_vectors(positions, frequencies, azimuths)
+    np.testing.assert_allclose(classical.gcc_phat(covariance, steering), expected, atol=1e-4)
+    products = PairProducts(steering)
+    shared = classical.gcc_phat(covariance, steering, products)
+    np.testing.assert_allclose(shared, expected, atol=1e-4)
 
 
 def scaled(spectrum: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ from service.inference.classical import ClassicalLocalizer
 from service.streaming.pipeline import StreamPipeline, StreamPlan
 
 RATE = 16_000
-METHODS: tuple[Method, ...] = ("norm_music", "music", "srp_phat")
+METHODS: tuple[Method, ...] = ("norm_music", "music", "srp_phat", "gcc_phat")
 PLACES = (30.0, 110.0, 200.0, 290.0)
 WINDOW = 16_640
 
@@ -83,7 +83,10 @@ def test_a_stream_follows_a_talker_in_a_room(
 @pytest.mark.parametrize(
     ("method", "asked"),
     # MUSIC has sharp peaks in noise, too, where it is told that there are two.
-    [("norm_music", 1), ("norm_music", 2), ("music", 1), ("srp_phat", 1), ("srp_phat", 2)],
+    [
+        *(("norm_music", 1), ("norm_music", 2), ("music", 1), ("srp_phat", 1), ("srp_phat", 2)),
+        *(("gcc_phat", 1), ("gcc_phat", 2)),
+    ],
 )
 def test_who_is_asked_for_in_a_pause_is_unlikely_to_be_there(
     method: Method, asked: int, square: MicrophoneArray
